@@ -68,6 +68,7 @@ if TYPE_CHECKING:
     from carom.scene.units.dimension import Dimension as Dimension
     from carom.scene.units.system import SI as SI
     from carom.scene.units.system import UnitSystem as UnitSystem
+    from carom.scene.wall_shapes import Facets as Facets
     from carom.scene.wall_shapes import Mesh as Mesh
     from carom.scene.wall_shapes import WallShape as WallShape
     from carom.scene.wall_shapes import across as across
@@ -118,7 +119,7 @@ _NAMES = {  # of each module
         "ACCELERATION ANGULAR_VELOCITY DENSITY Dimension ENERGY FORCE IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
     ),
     "carom.scene.units.system": "SI UnitSystem",
-    "carom.scene.wall_shapes": "Mesh WallShape across mesh_of_revolution unit_vector",
+    "carom.scene.wall_shapes": "Facets Mesh WallShape across mesh_of_revolution unit_vector",
     "carom.scene.wording": "command counted suggestion",
     "carom.terminal.compilation": "announce_compilation",
     "carom.terminal.console": "LiveLine Terminal print_whole",

@@ -67,6 +67,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "cone": "carom.walls.frustum:WALL",
         "disc": "carom.walls.disc:WALL",
         "rectangle": "carom.walls.rectangle:WALL",
+        "mesh": "carom.walls.mesh:WALL",
     },
     "placements": {  # arrangements of groups, and the region shape with its own velocities
         "random": "carom.physics.placement.random_placement:RANDOM",

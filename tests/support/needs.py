@@ -21,6 +21,7 @@ PACKAGES = {  # by what CAROM_REQUIRE calls them
     "engines": ("mujoco", "newton", "rebound"),
     "extras": (
         *("datafusion", "distributed", "gsd", "h5py", "imageio_ffmpeg", "matplotlib", "nbclient", "rerun_notebook"),
+        "trimesh",
     ),
 }
 GROUPS = {PICTURES: PICTURES, BROWSER: BROWSER} | {name: group for group, names in PACKAGES.items() for name in names}

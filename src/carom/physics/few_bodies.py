@@ -180,6 +180,7 @@ def can_fly(world: World) -> bool:
         len(world.bodies) <= MAX_IN_ONE_BLOCK
         and world.forces.laws is not None
         and not any(part.needs_every_step for part in world.parts)
+        and not world.planes.has_facets  # only single steps find those near a body
         and world.scene.expect.contact_audit is None  # the audit needs every kick
         and not (world.is_periodic and world.contact is None)  # only a single step refuses too many crossings
     )

@@ -24,7 +24,7 @@ from carom.physics.sheared_box import ShearedBox
 from carom.plan.features import Requirements, require
 from carom.scene.load import Scene
 from carom.scene.matter import pair_coefficients
-from carom.scene.start import HalfSpaces, InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies, names_of_solids
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import Names
@@ -107,7 +107,7 @@ class World:
             spins=needs.spin.modelled,
             orients=needs.orientation.modelled,
             torques=needs.torque.modelled,
-            planes=len(planes),
+            planes=len(planes.owner),
         )
         box = np.array(scene.domain.period or (0.0, 0.0, 0.0))
         forces = TotalForce(scene, needs, bodies, team, profile)
@@ -117,7 +117,7 @@ class World:
         contact, step = None, PresentStep(profile)
         parts = [*forces.parts, *([ShearMotion(shear, bodies)] if shear else [])]
         if needs.contact.modelled:
-            materials = materials_of(pair_coefficients(scene))
+            materials = materials_of(pair_coefficients(scene), planes.owner)
             world = ContactWorld(planes, materials, box, falling, bending, shear, needs.impact_time.modelled)
             totals = ImpactTotals(bodies, start.group, box, shear) if records_contacts else None
             contact = ContactPipeline(scene, bodies, world, needs, team, step, parts, totals)
@@ -127,7 +127,7 @@ class World:
         return cls(
             scene=scene,
             needs=needs,
-            names=Names(start.name, planes.name),
+            names=Names(start.name, names_of_solids(scene) if planes.has_facets else planes.name),
             bodies=bodies,
             planes=planes,
             is_periodic=scene.domain.is_periodic,

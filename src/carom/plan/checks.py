@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from carom import registry
 from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
@@ -57,6 +59,7 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_coarse_tree(scene)
         _refuse_integrator(scene)
         _refuse_thin_walls(scene)
+        _refuse_moving_facets(scene)
         _refuse_laws_without_coefficients(scene)
         _refuse_further_forces(scene)
         _refuse_what_no_error_controls(scene)
@@ -186,6 +189,18 @@ def _refuse_thin_walls(scene: Scene) -> None:
             '(contact.timing = "end-of-step"); set contact.timing = "time-of-impact", with an integrator such '
             "as leapfrog",
             ("contact", "timing"),
+        )
+
+
+def _refuse_moving_facets(scene: Scene) -> None:
+    """Refuse walls that move beside a wall of many facets."""
+    index = next((k for k, wall in enumerate(scene.wall) if shape_called(wall.shape).facets is not None), None)
+    moves = scene.translating or scene.has_piston or any(wall.moves for wall in scene.wall)
+    if index is not None and moves:
+        shape = scene.wall[index].shape
+        raise SceneError(
+            f"a {shape} supports no walls, planes or pistons that move yet; remove their motion, or use other shapes",
+            ("wall", index, shape),
         )
 
 
@@ -342,6 +357,10 @@ def doubts(scene: Scene) -> list[str]:
             f"gravity.uniform has {text}, {size / EARTH:.2g} of the Earth's; for the Earth's field, write "
             f'"{EARTH} m/s^2"'
         )
+    for index, wall in enumerate(scene.wall):
+        if (doubts_of := shape_called(wall.shape).doubts) is not None:
+            said = doubts_of(wall.section, _median_radius(scene), units)
+            found += [f"wall.{index}.{wall.shape}: {sentence}" for sentence in said]
     # masses that give, with the default radius, a density below that of any solid
     light = [
         (number, density)
@@ -358,3 +377,10 @@ def doubts(scene: Scene) -> list[str]:
             f"{units.text(density, DENSITY, '.2g')}{more}"
         )
     return found
+
+
+def _median_radius(scene: Scene) -> float:
+    """Return the median radius of the bodies in m; of a group, its own or the mean of its bounds."""
+    parts = [np.array([body.radius for body in scene.body]), *(columns.radius for columns in scene.data)]
+    parts += [np.full(group.count, 0.5 * (group.radius.min + group.radius.max)) for group in scene.group]
+    return float(np.median(np.concatenate(parts)))

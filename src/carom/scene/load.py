@@ -46,7 +46,9 @@ from carom.scene.scene_file import (
 from carom.scene.scene_model import SceneModel, know_installed_parts
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
+from carom.scene.schema.wall import KNOWN_SHAPES
 from carom.scene.units.system import UnitSystem
+from carom.scene.wall_shapes import CONTENT, shape_called
 from carom.scene.wording import suggestion
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
@@ -292,6 +294,7 @@ def _written(data: dict[str, Any]) -> str:
 
 def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySource | None) -> Scene:
     know_installed_parts()
+    data, text = _with_contents(data, text, places, _folder_of(bodies))
     numbers, units, wrong = converted(data)
     more = max(0, len(wrong) - _MOST_DETAILS)
     messages: dict[KeyPath, Callable[[], str]] = {
@@ -316,6 +319,42 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
         )
     scene._toml, scene._unit_system, scene._places = text, units, places
     return scene
+
+
+def _folder_of(source: BodySource | None) -> Path | None:
+    """Return the folder to which names of files are relative; None for the scene of a recording, which reads none."""
+    if source is not None and not isinstance(source, DataFiles | HeldBodies):
+        return None
+    files = source.files if isinstance(source, HeldBodies) else source
+    return files.folder if files is not None else Path()
+
+
+def _with_contents(
+    data: dict[str, Any], text: str, places: KeyPlaces, folder: Path | None
+) -> tuple[dict[str, Any], str]:
+    """Read the files of walls; return the scene's keys and its text with their contents."""
+    found, wrong = dict[tuple[int, str], str](), list[Callable[[], str]]()
+    walls = data.get("wall")
+    for index, wall in enumerate(walls if isinstance(walls, list) else ()):
+        for name in KNOWN_SHAPES if isinstance(wall, dict) else ():
+            section, read = wall.get(name), shape_called(name).read if name in wall else None
+            if read is None or not isinstance(section, dict) or section.get(CONTENT):
+                continue
+            if folder is not None and isinstance(file := section.get("file"), str) and file:
+                try:
+                    found[index, name] = read(folder / file, file)
+                except SceneError as error:
+                    key = f"wall.{index}.{name}.file"
+                    wrong.append(partial(str, f"{places.of(('wall', index, name, 'file'))}{key}: {error}"))
+    _refuse(wrong)
+    if not found:
+        return data, text
+    document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
+    data = copy.deepcopy(data)
+    for (index, name), content in found.items():
+        for one in (document, data):
+            one["wall"][index][name][CONTENT] = content
+    return data, tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(data)
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:

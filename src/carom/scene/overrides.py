@@ -14,6 +14,7 @@ from carom.scene.scene_file import DEEPEST, KeyPath, KeyPlaces, parse_value
 from carom.scene.scene_model import SceneModel
 from carom.scene.schema import Time
 from carom.scene.schema.promise import ABOUT_THE_END
+from carom.scene.wall_shapes import CONTENT
 
 TEXTS = ("title", "description", "name")  # keys that may be empty; for other keys, an empty value removes the key
 _INDEX = re.compile(r"[0-9]{1,9}")
@@ -47,7 +48,7 @@ def apply_overrides(document: Any, before: dict[str, Any], overrides: Sequence[s
             both = f"the overrides {overridden[other]} and {override}"
             raise SceneError(f"{both} are two names of one key; give one of them")
         overridden[path] = override
-        _forget_digest(document, path)
+        _forget_file(document, path)
     _keep_promised_duration(document, before, overridden)
     return overridden
 
@@ -97,11 +98,13 @@ def _key_path(override: str) -> KeyPath:
     return tuple(int(key) if _INDEX.fullmatch(key) else key for key in dotted.split("."))
 
 
-def _forget_digest(document: Any, path: KeyPath) -> None:
-    """Remove the digest and count of the previous file if an override names another file of bodies."""
+def _forget_file(document: Any, path: KeyPath) -> None:
+    """Remove what is known of the previous file if an override names another file of bodies or of a wall."""
     if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot", "snapshot_time"):
         for key in ("count", *(("sha256",) if path[2] == "file" else ())):
             document["bodies"][path[1]].pop(key, None)
+    if len(path) == 4 and path[0] == "wall" and path[3] == "file":
+        document["wall"][path[1]][path[2]].pop(CONTENT, None)
 
 
 def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:

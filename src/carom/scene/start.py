@@ -10,7 +10,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.scene.load import Scene
-from carom.scene.wall_shapes import unit_vector
+from carom.scene.wall_shapes import shape_called, unit_vector
 from carom.scene.wording import joined
 
 
@@ -69,6 +69,11 @@ class HalfSpaces:
         return len(self.offset)
 
     @property
+    def owner(self) -> IntArray:
+        """The number of each end of contacts among them: their own, followed by those of the walls of facets."""
+        return np.arange(len(self))
+
+    @property
     def surface(self) -> FloatArray:
         """The array from which kernels find tangent planes, together with `offset`."""
         return self.normal
@@ -77,6 +82,11 @@ class HalfSpaces:
     def moves(self) -> bool:
         """Whether any plane or wall moves."""
         return self.rotates or self.translates
+
+    @property
+    def has_facets(self) -> bool:
+        """Whether a wall consists of facets, with which contacts are."""
+        return False
 
     @property
     def rotates(self) -> bool:
@@ -148,8 +158,12 @@ def planes_of(scene: Scene) -> HalfSpaces:
 
 
 def names_of_solids(scene: Scene) -> list[str]:
-    """Return the names of all planes and walls of a scene, in the order of their numbers."""
-    return [*half_spaces(scene).name, *scene.wall_names]
+    """Return the names of all planes and walls of a scene, then of facets of walls, in the order of their numbers."""
+    names = [*half_spaces(scene).name, *scene.wall_names]
+    for name, wall in zip(scene.wall_names, scene.wall, strict=True):
+        if (facets := shape_called(wall.shape).facets) is not None:
+            names += [f"{name}, triangle {k}" for k in range(len(facets(wall.section).triangles))]
+    return names
 
 
 def half_spaces(scene: Scene) -> HalfSpaces:

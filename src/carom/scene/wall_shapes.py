@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,9 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray, IntArray
 from carom.scene.installed_forces import numbers_of
+from carom.scene.units.system import UnitSystem
 
+CONTENT = "content"  # key of a section in which carom keeps what a shape has read from a file
 SIDES = 96  # edges around a drawn surface of revolution
 
 
@@ -24,6 +27,13 @@ class Mesh(NamedTuple):
 
     corners: FloatArray  # (k, 3) m
     triangles: IntArray  # (t, 3) into `corners`
+
+
+class Facets(NamedTuple):
+    """The flat parts of a wall; contacts with each are those of a wall of its own."""
+
+    triangles: FloatArray  # (f, 3, 3) m, their corners
+    fields: Mapping[str, FloatArray]  # (f,) each, the fields of p by name, in SI units
 
 
 def depends_on_all(section: Any, axis: int, period: float) -> Mapping[str, float] | None:
@@ -53,6 +63,14 @@ class WallShape:
     # revolution, about which the wall may rotate: a point in m, and the direction
     periodic: Callable[[Any, int, float], Mapping[str, float] | None] = depends_on_all  # (section, axis, period in m)
     # → the fields to change where space repeats along an axis; None if the distance then depends on that coordinate
+    facets: Callable[[Any], Facets] | None = None  # (section) → the facets of a wall that consists of many; ``nearest``
+    # then is that of a facet
+    touches: Callable[..., bool] | None = None  # (surface, facet, x, y, z) → whether the wall's point nearest to
+    # (x, y, z) belongs to this facet and to no neighbour; ``surface`` has p of each facet, and ``facet`` is its number
+    read: Callable[[Path, str], str] | None = None  # (path, its name in messages) → the content of the file that the
+    # section names with its key ``file``; carom keeps it in the section's key `CONTENT`
+    doubts: Callable[[Any, float, UnitSystem], list[str]] | None = None  # (section, median radius of the bodies in m,
+    # units of the scene) → a sentence for each probable mistake
 
 
 def shape_called(name: str) -> WallShape:

@@ -14,6 +14,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN
 from carom.errors import ExperimentError, RecordingError
+from carom.physics.contact.solids import solids_of
 from carom.physics.schedule import every
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -130,11 +131,10 @@ def _with_entries(velocity: FloatArray, waits: BoolArray | None, entries: EntryS
 
 def _drives(scene: Scene, space: Space) -> BoolArray:
     """Return a mask (n + p,) over bodies, planes and walls that marks planes and walls moving on their own."""
-    n, ends = len(space.state), len(space.state.ends.inverse_mass)
-    drives = np.zeros(ends, dtype=np.bool_)
-    drives[n : n + len(scene.plane)] = [plane.motion is not None for plane in scene.plane]
-    drives[ends - len(scene.wall) :] = [wall.motion is not None for wall in scene.wall]
-    return drives
+    drives = [*(plane.motion is not None for plane in scene.plane), *[False] * 2 * len(scene.domain.walled)]
+    solids = np.array([*drives, *(wall.motion is not None for wall in scene.wall)], dtype=np.bool_)
+    bodies = np.zeros(len(space.state), dtype=np.bool_)
+    return np.concatenate((bodies, solids[solids_of(scene).owner]))
 
 
 def _impulses(space: Space, touching: Records) -> Records:

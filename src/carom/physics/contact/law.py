@@ -54,19 +54,28 @@ class Materials(NamedTuple):
     places: IntArray  # (n + p, 2) places for `material_index`; empty where all bodies have one material
 
 
-def materials_of(pairs: PairCoefficients) -> Materials:
-    """Return the coefficients of each pair as records."""
-    own = np.ascontiguousarray(pairs.rows, dtype=np.float64).view(MATERIAL)[:, 0]
+def materials_of(pairs: PairCoefficients, owner: IntArray | None = None) -> Materials:
+    """Return the coefficients of each pair as records.
+
+    ``owner``, (p + f,), is the number of the plane or wall whose coefficients each end besides the bodies has; each its
+    own by default.
+    """
+    places, kept = pairs.places, np.arange(len(pairs.rows))
+    if owner is not None and len(places):
+        places = np.concatenate((places[: pairs.bodies], places[pairs.bodies + owner]))
+    elif owner is not None:
+        kept = np.append(0, 1 + owner)
+    own = np.ascontiguousarray(pairs.rows[kept], dtype=np.float64).view(MATERIAL)[:, 0]
     mark = _mark_of(pairs.laws)
     if not mark:
-        return Materials(own, pairs.places)
+        return Materials(own, places)
     fields = [mark, *Coefficients._fields, *pairs.names]
     rows = np.zeros(len(own), np.dtype([(name, np.float64) for name in fields], align=True))
     for name in Coefficients._fields:
         rows[name] = own[name]
-    for name, values in zip(pairs.names, pairs.further.T, strict=True):
+    for name, values in zip(pairs.names, pairs.further[kept].T, strict=True):
         rows[name] = values
-    return Materials(rows, pairs.places)
+    return Materials(rows, places)
 
 
 def _mark_of(laws: tuple[str, ...]) -> str:

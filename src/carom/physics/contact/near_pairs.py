@@ -28,12 +28,15 @@ from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records, 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
+from carom.physics.contact.facets import consists_of_facets, first_facet, next_facet
 from carom.physics.contact.geometry import SearchedSpheres, are_near, height_above
 from carom.physics.contact.graph import first_of
 from carom.physics.contact.islands import excess_square
 from carom.physics.contact.law import Materials
+from carom.physics.contact.solids import touches_here
 from carom.physics.contact.solver.prepare import TOUCHING
-from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.contact.translating_walls import shift_of
+from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.jit.instructions import atomic_max, from_front
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
@@ -56,6 +59,7 @@ PAIRS_PER_BLOCK = 4096  # pairs of the list that are tested at a time: 64 KiB
 MIN_BLOCKS_PER_TASK = 2
 BODIES_PER_MERGE = 1024  # bodies for which pairs with planes are added at a time: 24 KiB of positions
 MIN_MERGES_PER_TASK = 1
+FEWEST_FACETS = 4  # near a body: space for them, which doubles when it is exceeded
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,15 +360,21 @@ class PlaneSearch:
 
     def __init__(self, radius: FloatArray, inverse_mass: FloatArray, planes: HalfSpaces, team: Team) -> None:
         self._radius, self._inverse_mass, self._planes, self._team = radius, inverse_mass, planes, team
+        self._facets = FEWEST_FACETS if planes.has_facets else 0  # space for each body
 
     def merged(self, pairs: IntArray, position: FloatArray, scale: float, skin: float) -> IntArray:
         """Return the pairs merged with the pairs of bodies and planes, (m, 2) sorted by (i, j)."""
         n, p, team = len(self._radius), len(self._planes), self._team
         blocks = np.empty(-(-n // BODIES_PER_MERGE), dtype=BLOCK)
-        merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)
         spheres, planes = (position, self._radius, self._inverse_mass), (self._planes.surface, self._planes.offset)
-        team.divide(len(blocks), MIN_MERGES_PER_TASK, _merge, pairs, spheres, planes, (scale, skin), merged, blocks)
-        return close_up(merged, blocks, team)
+        while True:
+            space = p + self._facets
+            merged = np.empty((len(pairs) + n * space, 2), dtype=np.int64)
+            nearness = scale, skin, space
+            team.divide(len(blocks), MIN_MERGES_PER_TASK, _merge, pairs, spheres, planes, nearness, merged, blocks)
+            if self._facets == 0 or not (blocks["count"] < 0).any():
+                return close_up(merged, blocks, team)
+            self._facets *= 2
 
 
 @long_kernel
@@ -374,16 +384,19 @@ def _merge(
     pairs: IntArray,
     spheres: tuple[FloatArray, FloatArray, FloatArray],
     planes: tuple[FloatArray, FloatArray],
-    nearness: tuple[float, float],
+    nearness: tuple[float, float, int],
     merged: IntArray,
     blocks: RecordArray[BlockRecord],
 ) -> None:
-    """Merge the pairs of the blocks [lo, hi) of bodies; each block has space for all its possible pairs."""
-    (position, radius, inverse_mass), (normal, offset), (scale, skin) = spheres, planes, nearness
+    """Merge the pairs of the blocks [lo, hi) of bodies; each body has space for a number of pairs with planes.
+
+    The count of a block is -1 if the facets near a body need more space.
+    """
+    (position, radius, inverse_mass), (normal, offset), (scale, skin, space) = spheres, planes, nearness
     c = from_front(first_of(lo * BODIES_PER_MERGE, pairs))
     for block in range(from_front(lo), hi):
-        begin = c + block * BODIES_PER_MERGE * len(offset)
-        m = begin
+        begin = c + block * BODIES_PER_MERGE * space
+        m, lacks = begin, False
         for i in range(block * BODIES_PER_MERGE, min(len(radius), (block + 1) * BODIES_PER_MERGE)):
             while c < len(pairs) and pairs[c, 0] == i:
                 if inverse_mass[i] + inverse_mass[pairs[c, 1]] > 0.0:
@@ -397,7 +410,45 @@ def _merge(
                 if height_above(normal, offset, k, x, y, z) <= radius[i] * scale + skin:
                     merged[m, 0], merged[m, 1] = i, len(radius) + k
                     m += 1
-        blocks[block].begin, blocks[block].count = begin, m - begin
+            last = m + space - len(offset)
+            for k in range(len(offset)):
+                if consists_of_facets(normal, k):
+                    m = _add_facets(i, k, spheres, planes, radius[i] * scale + skin, merged, (m, last))
+            lacks = lacks or m > last
+            m = min(m, last)
+        blocks[block].begin, blocks[block].count = begin, -1 if lacks else m - begin
+
+
+@inner
+def _add_facets(
+    i: int,
+    wall: int,
+    spheres: tuple[FloatArray, FloatArray, FloatArray],
+    planes: tuple[FloatArray, FloatArray],
+    reach: float,
+    merged: IntArray,
+    rows: tuple[int, int],
+) -> int:
+    """Add the pairs of a body with facets of a wall within ``reach`` (m), sorted; return the row behind them.
+
+    ``rows`` are the first free row and the row behind the last; a result behind it means that there is no space.
+    """
+    (x, y, z), (surface, offset), (m, last) = vector(spheres[0], i), planes, rows
+    begin, (dx, dy, dz) = m, shift_of(surface, wall)
+    point = x - dx, y - dy, z - dz
+    facet, walk = next_facet(surface, wall, first_facet(surface, wall), point, reach)
+    while facet >= 0:
+        if height_above(surface, offset, facet, x, y, z) <= reach and touches_here(surface, facet, x, y, z):
+            if m >= last:
+                return last + 1
+            j, place = len(spheres[1]) + facet, m
+            while place > begin and merged[place - 1, 1] > j:
+                merged[place, 0], merged[place, 1] = i, merged[place - 1, 1]
+                place -= 1
+            merged[place, 0], merged[place, 1] = i, j
+            m += 1
+        facet, walk = next_facet(surface, wall, walk, point, reach)
+    return m
 
 
 @kernel

@@ -19,6 +19,7 @@ from carom import registry
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraints import ends_of
+from carom.physics.contact.facets import TREE, consists_of_facets, first_facet, next_facet, tree_of
 from carom.physics.contact.moving_walls import MOTION
 from carom.physics.contact.records import ContactStateRecord
 from carom.physics.contact.translating_walls import (
@@ -26,9 +27,10 @@ from carom.physics.contact.translating_walls import (
     WallTranslation,
     in_frame_of_wall,
     place,
+    shift_of,
     translation_of,
 )
-from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, long_kernel, with_field
+from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, inner, kernel, long_kernel, with_field
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, add, vector
 from carom.plan.interactions import load, pressing_wall
@@ -36,11 +38,12 @@ from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces
-from carom.scene.wall_shapes import shape_called
+from carom.scene.wall_shapes import Facets, shape_called
 
 _MARK = "walls_"  # prefix of the first field's name in the records
 _PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
 _nearest: dict[str, Callable[..., Any]] = {}  # nearest-point functions by the name of that field
+_touches: dict[str, Callable[..., Any]] = {}  # functions `touches` by that name
 ARC_PASSES = 3  # passes of Newton's method; each doubles the number of correct digits
 LARGEST_ARC = 0.5  # fraction of the focal distance by which a body may move along a wall in a step
 
@@ -77,11 +80,22 @@ class GuidedPlane(Protocol):
 class SolidsWithWalls(HalfSpaces):
     """The half-spaces and walls of a scene with walls; ``normal`` and ``offset`` have rows of zeros for walls."""
 
-    records: Records  # (p,)
+    records: Records  # (p,), followed by the facets of walls and the nodes over them, as in `facets`
     before: Records  # (p,) records at the beginning of the step, if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
+    solid_of_end: IntArray  # (p + f,) the number of each solid, and of the wall of each facet
     guided: GuidedPlane | None = None  # the plane that contacts move, if any
     press_alone: bool = False
+
+    @property
+    def owner(self) -> IntArray:
+        """The number of each solid, and of the wall of each facet."""
+        return self.solid_of_end
+
+    @property
+    def has_facets(self) -> bool:
+        """Whether a wall consists of facets; the records then have the fields `TREE`."""
+        return TREE[0] in (self.records.dtype.names or ())
 
     @property
     def rotates(self) -> bool:
@@ -101,7 +115,8 @@ class SolidsWithWalls(HalfSpaces):
     @property
     def spin(self) -> FloatArray:
         """The angular velocity of each solid, (p, 3) rad/s."""
-        return np.stack([self.records[name] for name in MOTION[:3]], axis=1) if self.rotates else super().spin
+        ends = self.records[: len(self.owner)]
+        return np.stack([ends[name] for name in MOTION[:3]], axis=1) if self.rotates else super().spin
 
     @property
     def surface(self) -> FloatArray:
@@ -147,12 +162,15 @@ def solids_of(scene: Scene) -> HalfSpaces:
     translates = guided is not None or any(motion is not None and motion.translates for motion in motions)
     if not (scene.wall or translates):
         return flat
-    shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
+    used = {wall.shape for wall in scene.wall}
+    shapes = sorted({*(name for name in registry.HOUSE["walls"] if shape_called(name).facets is None), *used})
+    faceted = [(k, shape_called(wall.shape)) for k, wall in enumerate(scene.wall, start=len(flat))]
+    facets = {k: shape.facets(scene.wall[k - len(flat)].section) for k, shape in faceted if shape.facets is not None}
     parameters = [_parameters(scene, wall) for wall in scene.wall]
     # fields of all shapes, so that the records have one type for a set of shapes
     names = sorted({name for shape in shapes for name in shape_called(shape).fields})
     spins = np.array([_spin_of(wall) for wall in scene.wall]).reshape(-1, len(MOTION))
-    names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ())]
+    names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ()), *(TREE if facets else ())]
     kinds = [("kind", np.int64), *((name, np.float64) for name in (*_PLANE, *names))]
     records = np.zeros(
         len(flat) + len(scene.wall), np.dtype([(_mark_of(shapes, translates), np.float64), *kinds], align=True)
@@ -169,6 +187,8 @@ def solids_of(scene: Scene) -> HalfSpaces:
         for name, column in zip(TRANSLATION, np.array([translation_of(motion) for motion in motions]).T, strict=True):
             records[name] = column
         place(records, 0.0, np.empty((len(records), 3)))
+    owner = [np.arange(len(records)), *(np.full(len(each.triangles), k) for k, each in facets.items())]
+    records = _with_facets(records, facets)
     zeros = np.zeros((len(scene.wall), 3))
     return SolidsWithWalls(
         name=[*flat.name, *scene.wall_names],
@@ -177,14 +197,43 @@ def solids_of(scene: Scene) -> HalfSpaces:
         records=records,
         before=records.copy() if translates else records,
         motions=motions,
+        solid_of_end=np.concatenate(owner),
         guided=guided,
         press_alone=load(scene) == pressing_wall(scene) != "",
     )
 
 
+def _with_facets(walls: Records, facets: Mapping[int, Facets]) -> Records:
+    """Return the records of solids, followed by those of all facets and of the trees over them.
+
+    A wall of facets is a plane infinitely far away, with the limits of its tree.
+    """
+    if not facets:
+        return walls
+    count, number = len(walls), sum(len(each.triangles) for each in facets.values())
+    first, node = count, count + number
+    parts, nodes = [walls], list[Records]()
+    for k, each in facets.items():
+        rows = np.repeat(walls[k : k + 1], len(each.triangles))
+        for name, values in each.fields.items():
+            rows[name] = values
+        table = tree_of(each.triangles, first, node)
+        boxes = np.repeat(walls[k : k + 1], len(table))
+        for name, values in zip(TREE, table.T, strict=True):
+            boxes[name] = values
+        walls["kind"][k], walls["plane_offset"][k] = 0, -np.inf
+        walls["tree_first"][k], walls["tree_skip"][k] = node, node + len(table)
+        parts.append(rows)
+        nodes.append(boxes)
+        first, node = first + len(rows), node + len(table)
+    return np.concatenate((*parts, *nodes))
+
+
 def _parameters(scene: Scene, wall: Wall) -> Mapping[str, float]:
     """Return the fields of a wall; where space repeats, it is endless."""
     shape, size = shape_called(wall.shape), scene.domain.size or (0.0, 0.0, 0.0)
+    if shape.facets is not None:  # they have the fields
+        return {}
     values = dict(shape.parameters(wall.section))
     for axis in scene.domain.repeating:
         values |= shape.periodic(wall.section, axis, size[axis]) or {}
@@ -203,13 +252,34 @@ def _spin_of(wall: Wall) -> FloatArray:
 def _mark_of(shapes: list[str], translates: bool) -> str:
     """Prepare the functions of shapes for kernels; return the name of the field that identifies these shapes."""
     functions = [shape_called(name).nearest for name in shapes]
-    mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions)}"
+    touching = [touches for name in shapes if (touches := shape_called(name).touches) is not None]
+    mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions, *touching)}"
     if mark not in _nearest:
         chosen: Callable[..., Any] = inline(_of_plane)
         for kind, function in enumerate(functions, start=1):
             chosen = _either(kind, inline(function), chosen)
         _nearest[mark] = in_frame_of_wall(chosen) if translates else chosen
+        chosen = inline(_always)
+        for kind, name in enumerate(shapes, start=1):
+            if (touches := shape_called(name).touches) is not None:
+                chosen = _either_facet(kind, inline(touches), chosen)
+        _touches[mark] = chosen
     return mark
+
+
+def _always(surface: Any, solid: int, x: float, y: float, z: float) -> bool:
+    return True
+
+
+def _either_facet(kind: int, one: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `touches_here` of a solid: ``one`` for the given kind of solid, and ``other`` for the kinds before it."""
+
+    def chosen(surface: Any, solid: int, x: float, y: float, z: float) -> Any:
+        if surface[solid].kind == kind:
+            return one(surface, solid, x, y, z)
+        return other(surface, solid, x, y, z)
+
+    return inline(chosen)
 
 
 def _of_plane(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
@@ -240,6 +310,34 @@ def nearest_point(
 def _nearest_point(surface: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
     of_one: Any = _nearest[next(iter(surface.dtype.fields))]
     return lambda surface, solid, x, y, z: of_one(surface[solid], x, y, z)
+
+
+def _facet_touches(surface: FloatArray, solid: int, x: float, y: float, z: float) -> bool:
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(_facet_touches)
+def _touches_facet(surface: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
+    of_solid: Any = _touches[next(iter(surface.dtype.fields))]
+
+    def of_facet(surface: Any, solid: int, x: float, y: float, z: float) -> Any:
+        return of_solid(surface, solid, x, y, z)
+
+    return of_facet
+
+
+def _touches_in_frame(surface: FloatArray, solid: int, x: float, y: float, z: float) -> bool:
+    dx, dy, dz = shift_of(surface, solid)
+    return _facet_touches(surface, solid, x - dx, y - dy, z - dz)
+
+
+@with_field(TREE[0], _touches_in_frame)
+def touches_here(surface: FloatArray, solid: int, x: float, y: float, z: float) -> bool:
+    """Return whether a body with its centre at (x, y, z) m may touch this facet; always, where no wall has facets.
+
+    The nearest point of the facet may belong to a neighbour.
+    """
+    return True
 
 
 def _tangent_of_wall(
@@ -313,7 +411,22 @@ def _write_heights(position: FloatArray, surface: FloatArray, offset: FloatArray
     for i in range(len(position)):
         x, y, z = vector(position, i)
         for solid in range(len(offset)):
-            heights[i, solid] = nearest_point(surface, solid, x, y, z)[3]
+            if consists_of_facets(surface, solid):
+                heights[i, solid] = _distance_of_facets(surface, solid, (x, y, z))
+            else:
+                heights[i, solid] = nearest_point(surface, solid, x, y, z)[3]
+
+
+@inner
+def _distance_of_facets(surface: FloatArray, solid: int, point: Vector) -> float:
+    """Return the distance of a point from the nearest facet of a wall, in m."""
+    (x, y, z), (dx, dy, dz), least = point, shift_of(surface, solid), np.inf
+    facet, walk = next_facet(surface, solid, first_facet(surface, solid), (x - dx, y - dy, z - dz), least)
+    while facet >= 0:
+        if touches_here(surface, facet, x, y, z):
+            least = min(least, nearest_point(surface, facet, x, y, z)[3])
+        facet, walk = next_facet(surface, solid, walk, (x - dx, y - dy, z - dz), least)
+    return least
 
 
 @long_kernel

@@ -104,8 +104,11 @@ class WallTranslation:
         self._records: Any = records
         self._before = before
         bodies = len(ends.velocity) - len(records)
-        self._pieces = {k: _pieces_of(motion) for k, motion in enumerate(motions) if motion and motion.times}
-        self._changes = sorted({float(time) for pieces in self._pieces.values() for time in pieces[1:, -1]})  # s
+        changing = {id(motion): motion for motion in motions if motion and motion.times}
+        self._pieces = [  # the solids of each motion
+            (np.flatnonzero([other is motion for other in motions]), _pieces_of(motion)) for motion in changing.values()
+        ]
+        self._changes = sorted({float(time) for _, pieces in self._pieces for time in pieces[1:, -1]})  # s
         self._velocity, self._acceleration = ends.velocity[bodies:], ends.acceleration[bodies:]
         self._begun = np.zeros_like(self._velocity)  # m/s, Ḋ at the beginning of the step
         self._mean = np.zeros_like(self._velocity)  # m/s, v̄
@@ -181,10 +184,10 @@ class WallTranslation:
 
     def _set_velocities(self, time: float) -> None:
         """Write the velocities V_k at a time (s), with D_k and t_k."""
-        for solid, pieces in self._pieces.items():
+        for solids, pieces in self._pieces:
             k = bisect_right(pieces[:, -1], time) - 1
             for name, value in zip(_PIECE, pieces[k], strict=True):
-                self._records[name][solid] = value
+                self._records[name][solids] = value
 
     def rest(self) -> None:
         """Give the walls no acceleration: the corrections of positions do the work of the bodies' forces only."""

@@ -34,7 +34,9 @@ class MovingWalls(OptionalPart):
             bodies.ends.angular_velocity[len(bodies) :] = solids.spin
         self._translation: WallTranslation | None = None
         if solids.translates:
-            moving = solids.records, solids.before, bodies.ends, solids.motions
+            ends = slice(len(solids.owner))  # without the trees over facets
+            motions = [solids.motions[k] for k in solids.owner]
+            moving = solids.records[ends], solids.before[ends], bodies.ends, motions
             guided, smallest = solids.guided, float(bodies.radius.min())
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
         self._velocity = NO_VELOCITIES  # (p, 3) m/s, velocities at which the work of translating solids is computed

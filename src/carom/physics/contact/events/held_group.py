@@ -42,11 +42,14 @@ from carom.physics.contact.events.trajectories import (
     contact_geometry,
     elapsed,
     mean_velocity_of_wall,
+    place_at_wall,
     release,
     slowing,
+    touches_in_drift,
     velocity,
     velocity_of_partner,
 )
+from carom.physics.contact.facets import consists_of_facets, first_facet, next_facet
 from carom.physics.contact.guided_walls import push_guided
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import dissipates, material_index
@@ -158,6 +161,17 @@ def _further_closing(ends: tuple[int, int], normal: Vector, T: Trajectories) -> 
 
 
 @inner
+def _gather_solid(b: int, p: int, bodies: int, contacts: int, T: Trajectories, group: Group) -> tuple[int, int]:
+    """Add the contact of a body with a solid to a group, if it is near; return the numbers of bodies and contacts."""
+    n = len(T.x)
+    if contacts < MOST_CONTACTS and contact_geometry(b, n + p, T)[3] - T.radius[b] <= T.body[b].standoff:
+        if _place(n + p, bodies, group) < 0 and bodies < MOST_BODIES:
+            bodies = _join(n + p, bodies, T, group)
+        contacts = _add(b, n + p, bodies, contacts, T, group)
+    return bodies, contacts
+
+
+@inner
 def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Group) -> tuple[int, int]:
     """Collect the group of a meeting pair; return the numbers of its bodies and contacts."""
     n, drift = len(T.x), T.drift[0]
@@ -171,12 +185,17 @@ def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Grou
             continue
         body = T.body[b]
         for p in range(len(T.offset)):
-            if contacts < MOST_CONTACTS and not (b == i and n + p == j):
-                height = contact_geometry(b, n + p, T)[3]
-                if height - T.radius[b] <= body.standoff:
-                    if _place(n + p, bodies, group) < 0 and bodies < MOST_BODIES:
-                        bodies = _join(n + p, bodies, T, group)
-                    contacts = _add(b, n + p, bodies, contacts, T, group)
+            if not consists_of_facets(T.surface, p):
+                if not (b == i and n + p == j):
+                    bodies, contacts = _gather_solid(b, p, bodies, contacts, T, group)
+                continue
+            x, y, z = place_at_wall(b, p, T)
+            reach = T.radius[b] + body.standoff
+            facet, walk = next_facet(T.surface, p, first_facet(T.surface, p), (x, y, z), reach)
+            while facet >= 0:
+                if not (b == i and n + facet == j) and touches_in_drift(b, facet, T):
+                    bodies, contacts = _gather_solid(b, facet, bodies, contacts, T, group)
+                facet, walk = next_facet(T.surface, p, walk, (x, y, z), reach)
         for source in range(2):
             among = T.strays if source == 1 else (T.everyone if body.strays else neighbours)
             if source == 1 and (drift.strays == 0 or body.strays):

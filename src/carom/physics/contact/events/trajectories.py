@@ -32,8 +32,13 @@ from carom.physics.contact.guided_walls import straighten_guided
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.loads import pressing
 from carom.physics.contact.records import ContactRecord, LoadRecord
-from carom.physics.contact.solids import tangent_plane
-from carom.physics.contact.translating_walls import displacement_in_drift, velocity_in_drift, walls_translate
+from carom.physics.contact.solids import tangent_plane, touches_here
+from carom.physics.contact.translating_walls import (
+    displacement_in_drift,
+    shift_of,
+    velocity_in_drift,
+    walls_translate,
+)
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
@@ -379,6 +384,27 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)
     ratio = d / (T.radius[i] + T.radius[j])
     return nx, ny, nz, ratio * T.radius[i], ratio * T.radius[j]
+
+
+@inner
+def place_at_wall(i: int, solid: int, T: Trajectories) -> Vector:
+    """Return the centre of a body relative to a wall where the scene puts it, in m."""
+    x, y, z = centre(i, T)
+    if walls_translate(T.surface):
+        rx, ry, rz = displacement_in_drift(T.surface, solid, elapsed(T))
+        sx, sy, sz = shift_of(T.surface, solid)
+        x, y, z = x - rx - sx, y - ry - sy, z - rz - sz
+    return x, y, z
+
+
+@inner
+def touches_in_drift(i: int, facet: int, T: Trajectories) -> bool:
+    """Return `touches_here` of a body at the present time of a drift."""
+    x, y, z = centre(i, T)
+    if walls_translate(T.surface):
+        rx, ry, rz = displacement_in_drift(T.surface, facet, elapsed(T))
+        x, y, z = x - rx, y - ry, z - rz
+    return touches_here(T.surface, facet, x, y, z)
 
 
 @inner

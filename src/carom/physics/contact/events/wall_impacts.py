@@ -15,12 +15,14 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.contact.events.time_of_impact import GAP_TOLERANCE, MOST_PASSES, open_for
 from carom.physics.contact.events.trajectories import MOST_HOLDS, Trajectories, elapsed, lag, rest_speed
+from carom.physics.contact.facets import consists_of_facets, first_facet, next_facet
 from carom.physics.contact.guided_walls import impacts_of_wall
-from carom.physics.contact.solids import nearest_point
+from carom.physics.contact.solids import nearest_point, touches_here
 from carom.physics.contact.translating_walls import (
     displacement_in_drift,
     largest_acceleration,
     rate_in_drift,
+    shift_of,
     velocity_in_drift,
     walls_translate,
 )
@@ -32,51 +34,100 @@ FOCAL_FRACTION = 0.5  # fraction of the focal distance by which a body may move 
 
 def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -> None:
     """Predict the next impact of each body in [lo, hi) with a solid, if it precedes the stored impact."""
-    n, drift, behind = len(T.x), T.drift[0], lag(T)
-    clock, dt, kick = drift.clock, drift.dt, drift.kick
-    span = dt - elapsed(T)
+    drift, behind = T.drift[0], lag(T)
+    clock, kick = drift.clock, drift.kick
+    span = drift.dt - elapsed(T)
     for i in range(lo, hi):
         body = T.body[i]
         if body.holds >= MOST_HOLDS:
             continue
         x, y, z = along(T.x, T.v, i, clock - body.now)
         vx, vy, vz = vector(T.v, i)
-        ax, ay, az = vector(T.a, i)
         gx, gy, gz = 0.0, 0.0, 0.0
         if not body.is_straight:
             gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
         since_kick = clock - kick
         x, y, z = x - behind * gx, y - behind * gy, z - behind * gz
         wx, wy, wz = vx + since_kick * gx, vy + since_kick * gy, vz + since_kick * gz
-        bend = np.sqrt(gx * gx + gy * gy + gz * gz)
-        held = body.is_straight and not body.is_free  # the contacts of a rolling body close again as the drift ends
-        share = 1.0 if held else drift.slow
+        path = (x, y, z), (wx, wy, wz), (gx, gy, gz)
         for solid in range(len(T.offset)):
-            wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
-            when = clock + wait
-            if not when <= min(dt, body.impact_time):
+            if not consists_of_facets(surface, solid):
+                _predict_with_solid(i, solid, path, span, T, surface)
                 continue
-            half = 0.5 * wait
-            px, py, pz = x + wait * (wx + half * gx), y + wait * (wy + half * gy), z + wait * (wz + half * gz)
-            s = when - kick
-            ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
-            if walls_translate(surface):
-                rx, ry, rz = displacement_in_drift(surface, solid, when)
-                sx, sy, sz = velocity_in_drift(surface, solid, when)
-                px, py, pz = px - rx, py - ry, pz - rz
-                bx, by, bz = vector(T.a, n + solid)
-                ux, uy, uz = ux - sx - bx * s, uy - sy - by * s, uz - sz - bz * s
-            nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
-            closing = -(ux * nx + uy * ny + uz * nz)
-            turning = 0.0  # m/s, closing speed at the end of the drift of a body that rolls along the wall
-            if not body.is_free and focal > 0.0:
-                turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
-            slow = share * rest_speed(i, n + solid, (-nx, -ny, -nz), T)
-            if closing > slow + body.negligible_speed + turning:
-                if when == body.impact_time and body.partner < n + solid:
-                    continue
-                body.impact_time, body.partner = when, n + solid
-                body.partner_impacts = impacts_of_wall(surface, solid)
+            point, reach = _reach(solid, path, span, T, surface)
+            facet, walk = next_facet(surface, solid, first_facet(surface, solid), point, reach + T.radius[i])
+            while facet >= 0:
+                _predict_with_solid(i, facet, path, span, T, surface)
+                facet, walk = next_facet(surface, solid, walk, point, reach + T.radius[i])
+
+
+@inner
+def _reach(
+    solid: int, path: tuple[Vector, Vector, Vector], span: float, T: Trajectories, surface: FloatArray
+) -> tuple[Vector, float]:
+    """Return where a path begins, relative to a wall, and how far it leads within a span (s) at most, both in m."""
+    (x, y, z), (vx, vy, vz), (gx, gy, gz) = path
+    bend = np.sqrt(gx * gx + gy * gy + gz * gz)
+    if walls_translate(surface):
+        clock = T.drift[0].clock
+        rx, ry, rz = displacement_in_drift(surface, solid, clock)
+        ux, uy, uz = rate_in_drift(surface, solid, clock)
+        dx, dy, dz = shift_of(surface, solid)
+        x, y, z = x - rx - dx, y - ry - dy, z - rz - dz
+        vx, vy, vz = vx - ux, vy - uy, vz - uz
+        bend += largest_acceleration(surface, solid)
+    speed = np.sqrt(vx * vx + vy * vy + vz * vz)
+    return (x, y, z), span * (speed + 0.5 * span * bend)
+
+
+@inner
+def _predict_with_solid(
+    i: int,
+    solid: int,
+    path: tuple[Vector, Vector, Vector],
+    span: float,
+    T: Trajectories,
+    surface: FloatArray,
+) -> None:
+    """Store the next impact of a body with a solid, if it precedes the stored impact.
+
+    ``path`` is its position (m), velocity (m/s) and acceleration (m/s²).
+    """
+    n, drift, body = len(T.x), T.drift[0], T.body[i]
+    clock, dt, kick = drift.clock, drift.dt, drift.kick
+    (x, y, z), (wx, wy, wz), (gx, gy, gz) = path
+    vx, vy, vz = vector(T.v, i)
+    ax, ay, az = vector(T.a, i)
+    bend = np.sqrt(gx * gx + gy * gy + gz * gz)
+    held = body.is_straight and not body.is_free  # the contacts of a rolling body close again as the drift ends
+    share = 1.0 if held else drift.slow
+    wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
+    when = clock + wait
+    if not when <= min(dt, body.impact_time):
+        return
+    half = 0.5 * wait
+    px, py, pz = x + wait * (wx + half * gx), y + wait * (wy + half * gy), z + wait * (wz + half * gz)
+    s = when - kick
+    ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
+    if walls_translate(surface):
+        rx, ry, rz = displacement_in_drift(surface, solid, when)
+        sx, sy, sz = velocity_in_drift(surface, solid, when)
+        px, py, pz = px - rx, py - ry, pz - rz
+        bx, by, bz = vector(T.a, n + solid)
+        ux, uy, uz = ux - sx - bx * s, uy - sy - by * s, uz - sz - bz * s
+    if not touches_here(surface, solid, px, py, pz):  # a neighbour of this facet is as near
+        return
+    nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
+    closing = -(ux * nx + uy * ny + uz * nz)
+    turning = 0.0  # m/s, closing speed at the end of the drift of a body that rolls along the wall
+    if not body.is_free and focal > 0.0:
+        turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
+    slow = share * rest_speed(i, n + solid, (-nx, -ny, -nz), T)
+    if closing > slow + body.negligible_speed + turning:
+        if when == body.impact_time and body.partner < n + solid:
+            return
+        body.impact_time, body.partner = when, n + solid
+        body.partner_impacts = impacts_of_wall(surface, solid)
 
 
 @inner

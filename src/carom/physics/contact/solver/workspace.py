@@ -90,7 +90,7 @@ class Workspace:
         if planes.guided:
             for axis, along in zip(("axis_x", "axis_y", "axis_z"), planes.guided.normal, strict=True):
                 self._bodies[axis][:] = 0.0
-                self._bodies[axis][count - len(planes) + planes.guided.row] = along
+                self._bodies[axis][count - len(planes.owner) + planes.guided.row] = along
         self._pushed = aligned_empty(count, PUSHED_BODY)
         self._pushed_in = np.empty(count, dtype=np.int64)
         self._island = np.empty(count, dtype=np.int64)
@@ -139,7 +139,7 @@ class Workspace:
             inverse_mass=ends.inverse_mass,
             box=self._box,
             position=self._position,
-            surface=self._planes.surface,
+            surface=self._planes.surface[: len(self._planes.owner)],  # without the trees over facets
             offset=self._planes.offset,
             bodies=self._bodies,
             pushed=self._pushed,
