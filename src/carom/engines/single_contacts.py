@@ -22,7 +22,7 @@ from carom.engines.contact_torques import ContactTorque, ContactTorques
 from carom.engines.elastic_energy import PARTED
 from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths, rotated
 from carom.engines.missed_impacts import SHALLOW
-from carom.engines.sliding_contacts import SlidingContacts
+from carom.engines.rubbing_contacts import RubbingContacts
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
@@ -104,7 +104,7 @@ class ContactLaws:
         self._pending: list[IsolatedImpact] = []  # impacts of the last frame; a soft contact continues in the next one
         self.impacts: list[IsolatedImpact] = []
         self.torques = ContactTorques()
-        self.slides = SlidingContacts()
+        self.slides = RubbingContacts()
         self._lasting = 0  # number of impacts that continued in the next frame
         self._counts: list[tuple[int, int, int]] = []  # step, impacts that had ended by then, and impacts that lasted
         self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken if contacts are not soft

@@ -30,7 +30,7 @@ MOST_FRAMES = 100_000  # most frames with samples
 
 
 @dataclass(frozen=True, slots=True)
-class Rubbing:
+class RubbedFrame:
     """Isolated contacts of one frame, (m,), and the range of friction over normal impulse of each."""
 
     step: int
@@ -54,10 +54,10 @@ class WrongFriction:
 
 
 @dataclass(slots=True)
-class SlidingContacts:
+class RubbingContacts:
     """The friction of isolated contacts over a run."""
 
-    frames: list[Rubbing] = field(default_factory=list)
+    frames: list[RubbedFrame] = field(default_factory=list)
 
     def see(
         self,
@@ -97,7 +97,9 @@ class SlidingContacts:
         least = np.maximum(J_t.min(axis=0) - noise, 0.0) / (J_n.max(axis=0) + noise)
         most = (J_t.max(axis=0) + noise) / (J_n.min(axis=0) - noise)
         strikes = (closing[rows] > slow)[pressed]
-        self.frames.append(Rubbing(*place, np.stack([i, j], axis=1)[pressed], least, most, slides[pressed], strikes))
+        self.frames.append(
+            RubbedFrame(*place, np.stack([i, j], axis=1)[pressed], least, most, slides[pressed], strikes)
+        )
 
     def concluded(self, bodies: int) -> Iterator[WrongFriction]:
         """Yield the contacts whose friction differs from μ."""
