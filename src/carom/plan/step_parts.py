@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from carom.plan.auto import integrator
-from carom.plan.features import Requirements
+from carom.plan.features import Requirements, require
 from carom.scene.load import Scene
 from carom.scene.scene_file import KeyPath
 
@@ -19,6 +19,8 @@ class StepPart(NamedTuple):
     is_required: Callable[[Scene, Requirements, bool], bool]  # of a scene, and whether its contacts are recorded
     key: KeyPath  # that asks for it
     remedy: Callable[[Scene], str]  # without the part
+    # module:attribute of what refuses scenes for the part, given the scene, its placed bodies and its half-spaces
+    refusals: str = ""
 
     @property
     def is_there(self) -> bool:
@@ -46,6 +48,7 @@ STEP_PARTS: dict[str, StepPart] = {
         lambda scene, needs, recorded: scene.admits,
         ("group",),
         lambda scene: "remove the release of all groups",
+        refusals="carom.physics.contact.release.passage_checks:refuse_impossible_passages",
     ),
     "walls": StepPart(
         "carom.physics.contact.wall_motion:MovingWalls",
@@ -78,6 +81,13 @@ STEP_PARTS: dict[str, StepPart] = {
         lambda scene: "record no contacts",
     ),
 }
+
+
+def refusals_of(scene: Scene) -> list[str]:
+    """Return what refuses scenes for the parts that a scene requires, without the parts that were removed."""
+    needs = require(scene)
+    rows = [part for part in STEP_PARTS.values() if part.refusals]
+    return [part.refusals for part in rows if part.is_required(scene, needs, False) and part.is_there]
 
 
 def required(scene: Scene, needs: Requirements, recorded: bool) -> list[str]:

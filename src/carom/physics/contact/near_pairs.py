@@ -452,12 +452,10 @@ def _add_facets(
 
 
 @kernel
-def between_present(pairs: IntArray, absent: BoolArray) -> IntArray:
-    """Return the pairs whose ends both exist now, given a mask (n,) of absent bodies."""
-    kept, count, n = np.empty_like(pairs), 0, len(absent)
+def are_present(pairs: IntArray, absent: BoolArray) -> BoolArray:
+    """Return which pairs have both ends there, given which bodies are absent, (n,); planes are always there."""
+    present, n = np.empty(len(pairs), dtype=np.bool_), len(absent)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]
-        if not (absent[i] or (j < n and absent[j])):
-            kept[count, 0], kept[count, 1] = i, j
-            count += 1
-    return pairs if count == len(pairs) else kept[:count].copy()
+        present[c] = not (absent[i] or (j < n and absent[j]))
+    return present

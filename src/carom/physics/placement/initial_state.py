@@ -25,7 +25,7 @@ from carom.physics.placement.region import (
 )
 from carom.physics.placement.wall_clearance import refuse_crossing_walls
 from carom.plan.room import refuse_small_memory
-from carom.plan.step_parts import STEP_PARTS
+from carom.plan.step_parts import refusals_of
 from carom.registry import imported
 from carom.scene.load import Scene
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
@@ -37,7 +37,6 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import NumberedNames, body_called, body_key
 
-PASSAGE_CHECKS = "carom.physics.contact.release.passage_checks:refuse_impossible_passages"
 MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
 
 
@@ -103,8 +102,8 @@ def place(scene: Scene) -> InitialBodies:
             parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
         start = join(parts)
         refuse_overflow(start)
-        if scene.admits and STEP_PARTS["release"].is_there:
-            imported(PASSAGE_CHECKS)(scene, start, solids)
+        for refusals in refusals_of(scene):
+            imported(refusals)(scene, start, solids)
         if scene.contact.enabled:
             refuse_crossing_walls(scene, start, solids)
         return start if box is None else _inside(scene, start, box)

@@ -46,7 +46,7 @@ from carom.physics.contact.hooks import Mover, PresentStep
 from carom.physics.contact.impact_log import IMPACT, MAX_IN_COLLAPSE, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, Impacts
 from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
-from carom.physics.contact.near_pairs import between_present
+from carom.physics.contact.near_pairs import are_present
 from carom.physics.contact.records import ImpactRecord
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, advance
@@ -187,7 +187,7 @@ class EventDrivenDrift(Mover):
         narrows = self._is_open and damping == 0.0 and NARROWED[0] < largest < NARROWED[1]
         pairs = self._neighbours(largest, scale, skin, dt, narrows)
         if contacts.absent is not None:
-            pairs = between_present(pairs, contacts.absent)
+            pairs = pairs[are_present(pairs, contacts.absent)]
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean

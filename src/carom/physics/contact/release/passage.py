@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError
 from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep, WorldForces
-from carom.physics.contact.near_pairs import between_present
+from carom.physics.contact.near_pairs import are_present
 from carom.physics.contact.release.inlets import Inlets
 from carom.physics.contact.release.outlets import find_leaving, outlets_of
 from carom.physics.contact.release.waiting_places import choose, waiting_places
@@ -39,12 +39,6 @@ if TYPE_CHECKING:
 ENTRY = "passage"  # of the ledger
 PATIENCE = 0.05  # of the duration of a run: how long a place may be taken before a warning
 LARGEST_MOVE = 0.5  # of its radius, by which a body moves in the step in which it enters; as `auto.LATE_CFL`
-
-
-def _are_there(pairs: IntArray, absent: BoolArray) -> BoolArray:
-    """Return which pairs have no absent end; planes are always there."""
-    ends = np.append(absent, False)[np.minimum(pairs, len(absent))]
-    return np.asarray(~ends.any(axis=1))
 
 
 class PassingBodies(OptionalPart):
@@ -85,7 +79,7 @@ class PassingBodies(OptionalPart):
         self._free(np.empty(0, dtype=np.int64), np.zeros(len(self._inlets), dtype=np.int64))
         if len(self._outlets):
             find_leaving(self._bodies.position, np.ones_like(self._waits), self._outlets, self._through)
-        between_present(np.empty((0, 2), dtype=np.int64), self._waits)
+        are_present(np.empty((0, 2), dtype=np.int64), self._waits)
 
     def forget(self) -> None:
         """Return to the state before the first step; positions and velocities are restored by the caller."""
@@ -141,7 +135,7 @@ class PassingBodies(OptionalPart):
         pairs = others(step)
         if self._are_outside:
             step.profile.mark("search")
-            pairs = between_present(pairs, self._waits)
+            pairs = pairs[are_present(pairs, self._waits)]
             step.profile.mark("release")
         return pairs
 
@@ -207,7 +201,7 @@ class PassingBodies(OptionalPart):
         self._exchanged.append((-energy, -motion[1], -motion[2]))
         memory = self._contacts.memory
         if memory is not None:
-            kept, held = (_are_there(pairs, self._waits) for pairs in (memory.pairs, memory.held_pairs))
+            kept, held = (are_present(pairs, self._waits) for pairs in (memory.pairs, memory.held_pairs))
             self._contacts.lay_out(memory.among(kept, held))
 
     def _motion_of(self, which: IntArray, potential: float) -> tuple[float, FloatArray, FloatArray]:
