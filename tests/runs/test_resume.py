@@ -169,12 +169,21 @@ def test_a_continued_recording_says_so_and_keeps_where_it_came_from(half_second:
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "every", "duration", "size"),
+    [
+        ("cloud-collapse", 2.0, 8000.0, 3_000_000),  # to the first hundred contacts
+        pytest.param("steady-hopper", 0.01, 1.0, 1_200_000, marks=pytest.mark.nightly),  # while balls leave and enter
+    ],
+)
+def test_a_killed_run_goes_on_from_its_last_checkpoint(
+    name: str, every: float, duration: float, size: int, tmp_path: Path
+) -> None:
     path = tmp_path / "killed.rrd"
-    short = ["--set", "record.every=2.0", "--set", "time.duration=8000.0"]  # to the first hundred contacts
-    command = [sys.executable, "-m", "carom", "run", "cloud-collapse", "-o", str(path), *short]
+    short = ["--set", f"record.every={every}", "--set", f"time.duration={duration}"]
+    command = [sys.executable, "-m", "carom", "run", name, "-o", str(path), *short]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while not (path.exists() and path.stat().st_size > 3_000_000):
+    while not (path.exists() and path.stat().st_size > size):
         assert process.poll() is None, "it must be killed under way"
         time.sleep(0.05)
     process.send_signal(signal.SIGKILL)

@@ -15,6 +15,7 @@ from carom.lab.hunt.hunt import LAWS, Hunt, Miss, by_default, laws_of
 from carom.lab.hunt.random_scenes import Drawn, drawn
 from carom.lab.shrink.trials import OutOfTime
 from carom.physics.diagnostics.bookkeeper import BalanceAudit
+from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.scene.load import Scene, scene_from_dict
 from carom_command import carom
@@ -37,6 +38,22 @@ def test_the_same_seed_draws_the_same_scene() -> None:
 def test_every_draw_is_a_document_and_some_have_planes_that_move() -> None:
     planes = [plane for index in range(400) for plane in drawn(1, index).document.get("plane", [])]
     assert any("motion" in plane for plane in planes)
+
+
+def test_some_draws_have_bodies_that_enter_and_leave_and_most_of_them_are_valid() -> None:
+    drawn_ones = [drawn(1, index).document for index in range(400)]
+    pours = [one for one in drawn_ones if any("release" in group for group in one.get("group", []))]
+    assert len(pours) > 15 and {"inlet", "out"} == {each["to"] for one in pours for each in one.get("outlet", [])}
+    refused = 0
+    for one in pours:
+        try:
+            scene = scene_from_dict(one)
+            place(scene)
+            names = {law.name for law in laws_of(scene, "")}
+            assert {"ledger", "replay", "impulses"} <= names and not {"arrays", "mirror"} & names
+        except SceneError:
+            refused += 1
+    assert refused < 0.3 * len(pours)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Random scenes of bodies inside boundaries: walls of every shape and motion, pistons, and sheared boxes.
+"""Random scenes of bodies inside boundaries: walls of every shape and motion, pistons, sheared boxes, and pours.
 
 A few bodies, slow or fast, fill a small lattice in the middle, with and without a field, under a random contact law.
 """
@@ -150,6 +150,54 @@ def _sheared(draw: Draw, scale: Scales) -> Document:
         "size": row(np.array([2.0, 2.5, 3.0]) * (ROOM * reach)),
         "shear": {"rate": scale.U / scale.L * draw.choice(0.03, 1.0, -0.3), "flow": "x", "gradient": "y"},
     }
+    return document
+
+
+def poured(draw: Draw, scale: Scales) -> Document:
+    """Draw bodies that enter above a slope or a funnel, and perhaps leave and come back."""
+    L, U, M = scale
+    height, count = 6.0 * L, draw.integer(1, 12)
+    room = L * draw.choice(2.1, 5.0, 9.0)  # where fewer fit than enter, bodies wait
+    release = draw.choice({"at": 0.2 * L / U}, {"rate": 2.0 * U / L}, {"rate": 0.5 * U / L, "at": L / U})
+    if one_in(draw, 3):
+        release = release | {"until": 5.0 * L / U}
+    friction = draw.choice(0.0, 0.3, 1.0)
+    document: Document = {
+        "time": {"duration": draw.choice(3.0, 12.0) * L / U},
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -decade(draw, -1, 0) * U * U / L]},
+        "contact": {
+            "restitution": draw.choice(1.0, fraction(draw)),
+            "static_friction": friction,
+            "kinetic_friction": friction * draw.choice(1.0, 0.5),
+        },
+        "group": [
+            {
+                "count": count,
+                "radius": draw.choice(L, {"min": 0.5 * L, "max": L}),
+                "mass": M,
+                "region": {"shape": "box", "size": [room, room, room], "centre": [0.0, 0.0, height + 0.5 * room]},
+                "velocity": {"mean": [0.0, 0.0, -U], "dispersion": draw.choice(0.0, 0.1) * U},
+                "release": release,
+            }
+        ],
+        "record": {"every": "step", "check_every": 1},
+    }
+    if one_in(draw, 2):
+        cone = {"radius": L * draw.choice(1.2, 2.5), "end_radius": height, "height": 0.5 * height}
+        document["wall"] = [{"cone": cone | {"point": [0.0, 0.0, 0.3 * height]}}]
+    else:
+        document["plane"] = [{"normal": [draw.choice(0.0, 0.3), 0.0, 1.0]}]
+    places: dict[str, Document] = {
+        "below": {"point": [0.0, 0.0, draw.choice(0.0, 0.2) * height]},
+        "middle": {"region": {"shape": draw.choice("ball", "shell"), "radius": 2.0 * L, "centre": [0.0, 0.0, 3.0 * L]}},
+        "beside": {"point": [2.0 * L, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0]},
+    }
+    for outlet in draw.choice((), ("below",), ("middle",), ("beside",), ("below", "beside")):
+        place = places[outlet]
+        if place.get("region", {}).get("shape") == "shell":
+            place["region"]["inner_radius"] = L
+        document.setdefault("outlet", []).append(place | {"to": draw.choice("inlet", "out")})
+    _choose_law(draw, document["contact"], scale)
     return document
 
 

@@ -1,4 +1,4 @@
-"""The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, boundaries, and smooth motions.
+"""The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, boundaries, pours, smooth motions.
 
 Most scenes also get random values of other keys: forces, walls, planes (some of which move), materials and pairs,
 units, steps, and the search and solution of contacts. Combinations that the schema refuses are only counted.
@@ -27,12 +27,13 @@ from carom.lab.hunt.documents import (
     smooth,
     vector,
 )
-from carom.lab.hunt.random_boundaries import enclosed
+from carom.lab.hunt.random_boundaries import enclosed, poured
 from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
 DRIFT = 10.0  # speed common to all bodies; the scale of errors excludes the rounding of its energy
 MOST_FIXED = 200  # most steps of a fixed length
+SCENES_FOR_A_POUR = 12  # one of them has bodies that enter, and perhaps leave; by its own random numbers
 SMOOTH_STEPS = 20
 ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators of order two or more
 
@@ -50,7 +51,9 @@ class Drawn:
 def drawn(seed: int, index: int) -> Drawn:
     """Draw a scene; equal numbers give equal scenes."""
     draw = RandomDraw(f"{seed} {index}")
-    found = _drawn(draw)
+    found, passes = _drawn(draw), RandomDraw(f"{seed} {index} passage")
+    if not found.kind and one_in(passes, SCENES_FOR_A_POUR):
+        found = Drawn(poured(passes, scales(passes)))
     if not found.kind and not any("piston" in plane for plane in found.document.get("plane", [])):
         _move_planes(RandomDraw(f"{seed} {index} motion"), found.document)
     found.document["title"] = f"Hunted scene {index}"

@@ -234,8 +234,10 @@ def applies(name: str, scene: Scene) -> bool:
         case "arrays":
             # with a group, the step follows from its smallest possible radius; with arrays, from the smallest of all
             draws = any(group.radius.min < group.radius.max for group in scene.group)
-            return not (draws or scene.material or scene.unit_system.converts)
+            return not (draws or scene.material or scene.unit_system.converts or scene.admits)
         case "boost" if scene.plane or scene.anchored:
+            return False
+        case _ if scene.admits:  # images have no inlets and outlets
             return False
     # ties at borders of a tree or a box break the symmetry, and walls have an order
     return not (scene.group or scene.domain.boundary != "open" or scene.wall or needs.tree.modelled)
