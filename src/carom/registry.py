@@ -129,7 +129,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "newton": "carom.engines.adapters.newton:newton",
     },
     "model": {  # optional parts of the physics, which no package can define; for others see `carom.plan.step_parts`
-        "piston": "carom.physics.contact.piston_motion:PistonPlane.of",
+        "piston": "carom.physics.contact.piston_motion:PistonPlanes",
         "steady-steps": "carom.physics.contact.events.steady_steps:make",
     },
 }

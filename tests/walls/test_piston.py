@@ -43,8 +43,8 @@ def frames(of: Scene) -> list[Frame]:
 
 def state(frame: Frame) -> tuple[float, float, float]:
     """Return displacement (m) and velocity (m/s) of the piston towards the floor, and the impulse on it (N s)."""
-    assert frame.memory is not None and frame.memory.piston is not None
-    displacement, velocity, impulse = frame.memory.piston.tolist()
+    assert frame.memory is not None and frame.memory.pistons is not None
+    ((displacement, velocity, impulse),) = frame.memory.pistons.tolist()
     return displacement, velocity, impulse
 
 

@@ -28,8 +28,9 @@ def motion_texts(header: Header) -> Iterator[str]:
             yield f"{name}: turns at {_size(header, motion.rotation, dimension.ANGULAR_VELOCITY)}{axis}"
         if motion.translates:
             yield f"{name}: {_translation(header, motion)}"
-    if header.piston is not None and header.piston < len(planes):
-        yield f"{planes[header.piston] or f'plane {header.piston}'}: moves as bodies push it"
+    for piston in header.pistons:
+        if piston < len(planes):
+            yield f"{planes[piston] or f'plane {piston}'}: moves as bodies push it"
     if header.shear is not None:
         shear = header.shear
         way = "+" if shear.rate > 0.0 else "-"

@@ -19,8 +19,9 @@ from carom.scene.forces import DRAG
 from carom.scene.installed_forces import BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.load import Scene
+from carom.scene.pistons import pistons_of
 from carom.scene.scene_file import KeyPath
-from carom.scene.scene_model import naming_places, piston_of
+from carom.scene.scene_model import naming_places
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
@@ -81,8 +82,8 @@ def _refuse_missing_parts(scene: Scene) -> None:
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
     if scene.drag is not None:
         needed.append(("forces", DRAG.name, ("drag",), "leave [drag] out"))
-    if piston := piston_of(scene):
-        needed.append(("model", "piston", ("plane", piston[0], "piston"), "remove the piston"))
+    for number in pistons_of(scene):
+        needed.append(("model", "piston", ("plane", number, "piston"), "remove the piston"))
     missing = [each for each in needed if each[1] not in registry.names(each[0])]
     parts = {name: STEP_PARTS[name] for name in required(scene, require(scene), recorded=False)}
     missing += [("model", name, part.key, part.remedy(scene)) for name, part in parts.items() if not part.is_there]

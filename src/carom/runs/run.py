@@ -29,7 +29,7 @@ from carom.runs.environment import Interrupts, collecting_garbage_rarely, enviro
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge
 from carom.scene.extensions import extensions_of, of_extensions
 from carom.scene.load import Scene
-from carom.scene.scene_model import piston_of
+from carom.scene.pistons import pistons_of
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies, planes_of
 from carom.scene.units.dimension import TIME
@@ -340,7 +340,7 @@ def header_of(space: Space) -> Header:
         promises=scene.promise is not None,
         drives=bool(scene.translating) or any(wall.moves for wall in scene.wall),
         motions=motions_of(scene),
-        piston=None if (piston := piston_of(scene)) is None else piston[0],
+        pistons=tuple(pistons_of(scene)),
         outlets=scene.outlet_names,
         entries=space.entries if scene.admits else None,
         has_driving_field=any(scene.driving_field),

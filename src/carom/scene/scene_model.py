@@ -15,6 +15,7 @@ from carom.errors import SceneError
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.body_sources import HeldBodies
 from carom.scene.integrators import AUTO
+from carom.scene.pistons import pistons_of, sides_of_face
 from carom.scene.scene_file import KeyPath, KeyPlaces
 from carom.scene.schema.body import Body, BodyData, BodyGroup, SolidPlane
 from carom.scene.schema.contact import (
@@ -28,7 +29,6 @@ from carom.scene.schema.contact import (
     law_sections,
     section_of,
 )
-from carom.scene.schema.piston import Piston
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import Section, SectionError
 from carom.scene.schema.release import Outlet
@@ -161,7 +161,7 @@ class SceneModel(Forces, Heading):
     @property
     def has_piston(self) -> bool:
         """Whether a plane is a piston."""
-        return piston_of(self) is not None
+        return bool(pistons_of(self))
 
     @property
     def wall_names(self) -> list[str]:
@@ -375,33 +375,10 @@ def refuse_what_is_not_sheared(scene: SceneModel) -> None:
             raise ValueError(f"domain.shear with {what}, which it does not support: {why}; {remedy}")
 
 
-def piston_of(scene: SceneModel) -> tuple[int, Piston] | None:
-    """Return the number of the plane that is a piston, and its section; None if there is none."""
-    return next(((k, plane.piston) for k, plane in enumerate(scene.plane) if plane.piston is not None), None)
-
-
-def piston_force(scene: SceneModel) -> float:
-    """Return the given force on the piston, along the normal of its plane, in N."""
-    numbered = piston_of(scene)
-    if numbered is None:
-        return 0.0
-    number, piston = numbered
-    if piston.pressure is None:
-        return piston.force or 0.0
-    axis = next(axis for axis, along in enumerate(scene.plane[number].normal) if along)
-    first, second = (length for k, length in enumerate(scene.domain.size or (0.0, 0.0, 0.0)) if k != axis)
-    return piston.pressure * first * second
-
-
 def refuse_what_has_no_piston(scene: SceneModel) -> None:
-    """Refuse a piston that has a prescribed motion, or that is combined with parts that support only planes at rest."""
-    numbered = piston_of(scene)
-    if numbered is None:
-        return
-    number, piston = numbered
-    key, time, contact = ("plane", number, "piston"), scene.time, scene.contact
+    """Refuse pistons that are combined with parts that support only planes at rest, and pressures without a face."""
+    time, contact = scene.time, scene.contact
     remedies = {
-        "a second piston": ("remove one of them", sum(plane.piston is not None for plane in scene.plane) > 1),
         "contact.enabled = false": ("remove one of them", not contact.enabled),
         f'contact.solver = "{contact.solver}"': ('set "lasting"', contact.solver != "lasting"),
         "contact.sleep": ("remove one of them", contact.sleep is not None),
@@ -413,13 +390,14 @@ def refuse_what_has_no_piston(scene: SceneModel) -> None:
             any(group.arrangement == "compressed" for group in scene.group),
         ),
     }
-    for what, (remedy, given) in remedies.items():
-        if given:
-            raise SectionError(key, f"with {what}, which does not support a piston; {remedy}")
-    axes = [axis for axis, along in enumerate(scene.plane[number].normal) if along]
-    if piston.pressure is not None and (scene.domain.size is None or len(axes) > 1):
-        lacks = "domain.size" if scene.domain.size is None else "a normal along x, y or z"
-        raise SectionError((*key, "pressure"), f"needs {lacks}, for the area on which it acts; give the force instead")
+    for number, piston in pistons_of(scene).items():
+        for what, (remedy, given) in remedies.items():
+            if given:
+                raise SectionError(
+                    ("plane", number, "piston"), f"with {what}, which does not support a piston; {remedy}"
+                )
+        if piston.pressure is not None:
+            sides_of_face(scene, number)
 
 
 def refuse_what_admits_no_bodies(scene: SceneModel) -> None:

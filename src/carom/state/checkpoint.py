@@ -15,7 +15,7 @@ import xxhash
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.state.books import Books
 from carom.state.energies import Energy
-from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, INLET, OUTLET, RUN, SLEEPING, Saved
+from carom.state.saved import BODY, CONTACT, ENCOUNTER, HELD, INLET, OUTLET, PISTON, RUN, SLEEPING, Saved
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +70,8 @@ class ContactCheckpoint:
     impulse: Annotated[FloatArray, Saved("held_impulse", "N s", HELD, 4), Saved("held_angular", "N m s", HELD, 3)]
     kick: Annotated[float, Saved("held_kick", "s")]  # length of that kick
     sleep: SleepCheckpoint | None = None  # None where no body can sleep
-    # (3,) for the piston: displacement in m, velocity in m/s, bodies' impulse on it in N s; None without one
-    piston: Annotated[FloatArray | None, Saved("piston", "", RUN, 3)] = None
+    # (k, 3) of the pistons: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
+    pistons: Annotated[FloatArray | None, Saved("pistons", "", PISTON, 3)] = None
     release: ReleaseCheckpoint | None = None  # None where no body enters or leaves
 
     def among(self, kept: BoolArray, held: BoolArray) -> ContactCheckpoint:

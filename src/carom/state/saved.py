@@ -14,7 +14,7 @@ from typing import Any, cast, get_args, get_type_hints
 
 # objects for which a field has rows; only bodies in close encounters are an `ENCOUNTER`
 RUN, BODY, ENCOUNTER, CONTACT, HELD, SLEEPING = "run", "body", "encounter", "contact", "held", "sleeping"
-INLET, OUTLET = "inlet", "outlet"
+INLET, OUTLET, PISTON = "inlet", "outlet", "piston"
 
 
 @dataclass(frozen=True, slots=True)

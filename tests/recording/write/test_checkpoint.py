@@ -155,4 +155,4 @@ def test_no_two_saved_fields_have_one_name_and_all_but_numbers_have_a_unit() -> 
     table = list(all_saved(Checkpoint))
     assert len({each.name for each in table}) == len(table) > 30
     without = {each.name for each in table if not each.unit and not each.is_pairs}
-    assert without == {"orientation", "orbit_series", "orbit_order", "piston", "release_slots", "release_totals"}
+    assert without == {"orientation", "orbit_series", "orbit_order", "pistons", "release_slots", "release_totals"}

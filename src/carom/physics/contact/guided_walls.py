@@ -6,9 +6,9 @@ its velocity along N only, and the effective mass of friction does not contain M
 
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
-The correction of overlaps moves the wall, too. The load and the motion of a guided plane belong to an optional part,
-such as the piston's (`piston_motion`), which returns a `solids.GuidedPlane` whose motion extends `WallTranslation`.
-Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
+The correction of overlaps moves the wall, too. Their loads and their motion are an optional part, such as the pistons
+(`piston_motion`): it returns the `solids.GuidedPlanes` of a scene, whose motion extends `WallTranslation`. Records of
+bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
 **Impacts during a drift.** As for bodies, the velocity u of the drift is the velocity in the middle of the step, and
 the path bends with the acceleration a between contacts. At a time τ into a drift of dt, the plane is displaced along N
@@ -26,11 +26,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
 
-GUIDE = (  # a solid's motion in a drift; zeros if contacts do not move the solid
+NO_PUSHES: FloatArray = np.zeros(0)  # m, displacements of guided walls in a scene without them
+GUIDE = (  # of a solid in a drift; zeros if contacts do not move the solid
     "guide_start",  # m, r₀
     "guide_speed",  # m/s, u
     "guide_bend",  # m/s², a; 0 if contacts hold the wall, so that its path is straight

@@ -9,12 +9,13 @@ them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
+from carom.physics.contact.guided_walls import NO_PUSHES
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.integrators.kick_drift import DampedPath
@@ -54,7 +55,8 @@ class PresentStep:
     against: FloatArray | None = None  # (n + p, 3) m/s² that contacts act against; None: the bodies' accelerations
     impacts: Impacts = NO_IMPACTS  # of the drift
     audit: KickAudit | None = None
-    pushed: float = 0.0  # m, displacement of a solid along its normal by the correction of overlaps
+    # (k,) m, by which the correction of overlaps moved guided walls along their normals
+    pushed: FloatArray = field(default_factory=lambda: NO_PUSHES)
 
     def set_kicks(self, before: float, drift: float, after: float) -> None:
         """Set a drift and the plain kicks before and after it, in s."""
@@ -97,8 +99,9 @@ class WorldForces(Protocol):
 class OptionalPart:
     """An optional part of the model, which overrides the hooks that it needs."""
 
-    entries: tuple[str, ...] = ()  # ledger entries, with the sign of a loss
-    needs_every_step = True  # whether `few_bodies` must leave even steps in which nothing touches to this part
+    entries: tuple[str, ...] = ()  # of the ledger, with the sign of a loss
+    pressing_energy = 0.0  # J, work of its loads over the smallest radius; the energy scale is at least as large
+    needs_every_step = True  # whether also steps in which nothing touches cannot be left to `few_bodies`
 
     # Between steps
 

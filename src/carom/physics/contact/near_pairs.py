@@ -112,8 +112,8 @@ class NearPairs:
         self.pressing = bodies.acceleration  # (n, 3) m/s², accelerations that press contacts together
         self._lift = planes.largest_acceleration
         self._shear = world.shear
-        # m/s², acceleration of a guided wall, or of contacts that a flow closes
-        self._presses = abs(planes.guided.acceleration) if planes.guided else world.flow(float(bodies.radius.max()))
+        self._guided = planes.guided
+        self._flow = world.flow(float(bodies.radius.max()))  # m/s², acceleration of contacts that a flow closes
         self.rounding = 0.0  # m, rounding of the coordinates
         self.loading = 1.0  # largest factor by which walls increase the acceleration that presses contacts together
 
@@ -141,7 +141,7 @@ class NearPairs:
             return 1.0, 0.0
         bodies = self._bodies
         square, coordinate = largest_values(self.pressing, self._field, bodies.position, self._team)
-        own = max(np.sqrt(square), self._presses)
+        own = max(np.sqrt(square), self._guided.largest_acceleration if self._guided else self._flow)
         fall = (own + self._lift) * dt * dt
         self.loading = 1.0 + self._lift / own if own > 0.0 else 1.0
         if (own == 0.0 or fall == 0.0) and not self._press_alone:  # all contacts are impacts, without a list

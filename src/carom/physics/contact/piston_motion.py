@@ -1,67 +1,98 @@
-"""A piston: a plane with a mass M that moves along its normal N only, under a constant force and gravity.
+"""Pistons: planes, each with a mass M, that move along their normals N only, under constant loads and gravity.
 
-Contacts move a piston like any guided wall (`guided_walls`). Kicks change its velocity u by a h, with a = F/M + g·N.
-Drifts change its displacement s along N by r(dt): by u dt, and by the changes due to impacts at their own times.
+Contacts move them like any guided wall (`guided_walls`). Kicks change the velocity u of a piston by a h, with
+a = F/M + g·N. Drifts change its displacement s along N by r(dt): by u dt, and by what its impacts change at their own
+times.
 
 The bodies give the piston the energy ½ M u² - M a s, whose change the ledger books in the entry for walls. The impulse
 of the bodies on its face, which a load cell there would measure, is
 
-    ∫ P dt = M a t - M Δu
+    ∫ P dt = M Σ a dt - M Δu
+
+A pressure acts on the face between the other planes, which pistons may move, so F follows from the displacements of all
+pistons that are expected in the middle of a step, and is constant within it. A load accelerates a piston no further
+than to its largest speed, if it has one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carom.arrays import FloatArray, Records
+from carom.errors import PhysicsError
 from carom.physics.contact.guided_walls import GUIDE
 from carom.physics.contact.translating_walls import WallTranslation
 from carom.plan.auto import timing
 from carom.scene.load import Scene
-from carom.scene.scene_model import piston_force, piston_of
+from carom.scene.pistons import pistons_of, sides_of_face
 from carom.scene.schema.motion import WallMotion
 
 if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
 _AXES = ("x", "y", "z")
-MOST_MOVED = 0.1  # piston's displacement in a step, in smallest radii, if impacts are up to one step late
-MOST_FALLEN = 0.01  # piston's displacement from rest by its acceleration in a step, in smallest radii
+MOST_MOVED = 0.1  # of the smallest radius, by which a piston may move in a step if impacts are late by as much
+MOST_FALLEN = 0.01  # of the smallest radius, by which its acceleration may move a piston from rest in a step
 
 
-class PistonPlane(NamedTuple):
-    """The piston of a scene."""
+class PistonPlanes:
+    """The k pistons of a scene, given the normals of its planes."""
 
-    row: int  # number of the piston among the solids
-    normal: FloatArray  # (3,)
-    mass: float  # kg
-    acceleration: float  # m/s², acceleration a along the normal
-    velocity: float  # m/s, at the start
-    late: bool  # whether impacts are resolved at the end of a step
+    def __init__(self, scene: Scene, normals: FloatArray) -> None:
+        sections = pistons_of(scene)
+        self.rows = np.array(list(sections), dtype=np.int64)  # their numbers among the solids
+        self.normals = normals[self.rows]  # (k, 3)
+        self.mass = np.array([section.mass for section in sections.values()])  # kg
+        self.velocity = np.array([section.velocity for section in sections.values()])  # m/s, at the start
+        self.fastest = np.array([section.max_speed or np.inf for section in sections.values()])  # m/s
+        self.late = timing(scene) == "end-of-step"  # whether impacts are resolved at the end of a step
+        self._gravity = np.array(
+            [
+                sum(float(g) * float(along) for g, along in zip(scene.gravity.uniform, normal, strict=True))
+                for normal in self.normals
+            ]
+        )  # m/s², along the normals
+        self._force = np.array([section.force or 0.0 for section in sections.values()])  # N
+        self._pressure = np.array([section.pressure or 0.0 for section in sections.values()])  # Pa
+        # m, the sides of the face of each piston with a pressure, (k, 2), and which pistons shorten them, (k, 2, k)
+        self._sides, self._shortens = np.zeros((len(sections), 2)), np.zeros((len(sections), 2, len(sections)))
+        for row, (plane, section) in enumerate(sections.items()):
+            for side, (length, moved_by) in enumerate(sides_of_face(scene, plane) if section.pressure else ()):
+                self._sides[row, side] = length
+                self._shortens[row, side] = np.isin(self.rows, moved_by)
+        self.acceleration = self.loaded(np.zeros(len(sections)))  # m/s², (k,), a of the present step
 
-    @classmethod
-    def of(cls, scene: Scene, normals: FloatArray) -> PistonPlane:
-        """Return the piston of a scene that has one, given the normals of its planes."""
-        found = piston_of(scene)
-        assert found is not None, "the scene has a piston"
-        row, section = found
-        normal = normals[row]
-        gravity = sum(float(g) * float(along) for g, along in zip(scene.gravity.uniform, normal, strict=True))
-        late, acceleration = timing(scene) == "end-of-step", piston_force(scene) / section.mass + gravity
-        return cls(row, normal, section.mass, acceleration, section.velocity, late)
+    @property
+    def largest_acceleration(self) -> float:
+        """The largest of their accelerations along their normals in m/s², without contacts."""
+        return float(np.abs(self.acceleration).max())
+
+    def loaded(self, displacement: FloatArray) -> FloatArray:
+        """Return the accelerations by loads and gravity, (k,) m/s², given the displacements of all pistons, (k,) m."""
+        sides = np.maximum(self._sides - (self._shortens * displacement).sum(axis=2), 0.0)
+        force = self._force + self._pressure * sides[:, 0] * sides[:, 1]
+        return np.asarray(force / self.mass + self._gravity)
+
+    def limited(self, velocity: FloatArray, duration: float) -> FloatArray:
+        """Return the accelerations of a step of some s, (k,) m/s², of pistons with velocities, (k,) m/s.
+
+        The accelerations by the loads end at the largest speeds.
+        """
+        left = (self.fastest - np.sign(self.acceleration) * velocity) / duration
+        return np.asarray(np.sign(self.acceleration) * np.clip(left, 0.0, np.abs(self.acceleration)))
 
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> PistonMotion:
-        """Return the motion of the piston, and of walls with a prescribed motion; see `PistonMotion`."""
+        """Return what moves them, and walls with a prescribed motion; see `PistonMotion`."""
         return PistonMotion(records, before, ends, motions, self, smallest)
 
 
 class PistonMotion(WallTranslation):
-    """Moves the piston of a scene through the phases of a step, and walls with a prescribed motion, if there are any.
+    """Moves the pistons of a scene through the phases of a step, and walls with a prescribed motion, if there are any.
 
     ``smallest`` is the radius of the smallest body in m.
     """
@@ -72,20 +103,20 @@ class PistonMotion(WallTranslation):
         before: Records,
         ends: Ends,
         motions: Sequence[WallMotion | None],
-        piston: PistonPlane,
+        pistons: PistonPlanes,
         smallest: float,
     ) -> None:
-        self._piston, self._smallest = piston, smallest
-        self._drift = self._booked = 0.0  # s, length of the step, and of its first kick
-        # displacement in m, velocity in m/s, and impulse in N s by the bodies since the start
-        self.state = np.array([0.0, piston.velocity, 0.0])
+        self._pistons, self._smallest, self._rows = pistons, smallest, pistons.rows
+        self._drift = self._booked = 0.0  # s, length of the step, and its first kick
+        # (k, 3): displacement in m, velocity in m/s, and the impulse of the bodies since the start in N s
+        self.state = self._at_start
         self._begun_state = self.state.copy()
-        ends.inverse_mass[len(ends.velocity) - len(records) + piston.row] = 1.0 / piston.mass
+        ends.inverse_mass[len(ends.velocity) - len(records) + self._rows] = 1.0 / pistons.mass
         super().__init__(records, before, ends, motions)
 
     def forget(self) -> None:
         """Return to the start of the run."""
-        self.recall(np.array([0.0, self._piston.velocity, 0.0]))
+        self.recall(self._at_start)
 
     @property
     def memory(self) -> FloatArray:
@@ -93,59 +124,65 @@ class PistonMotion(WallTranslation):
         return self.state.copy()
 
     def recall(self, state: FloatArray) -> None:
-        """Return to an earlier `state`."""
+        """Return to an earlier `state`. Raises PhysicsError if it is that of other pistons."""
+        if state.shape != self.state.shape:
+            raise PhysicsError("the checkpoint does not state where the pistons of the scene are")
         self.state[:] = state
-        self._write()
+        self._load()
 
     @property
     def longest_step(self) -> float:
-        """The longest step (s) in which the piston moves by less than the bodies resolve; infinite at rest."""
-        a, u = abs(self._piston.acceleration), abs(float(self.state[1]))
+        """The longest step (s) in which pistons move by less than the bodies resolve; infinite at rest."""
+        a, u = np.abs(self._pistons.acceleration), np.abs(self.state[:, 1])
         reach, fall = MOST_MOVED * self._smallest, MOST_FALLEN * self._smallest
-        longest = float(np.sqrt(2.0 * fall / a)) if a > 0.0 else np.inf
-        if self._piston.late and (a > 0.0 or u > 0.0):
-            longest = min(longest, float(2.0 * reach / (u + np.sqrt(u * u + 2.0 * a * reach))))
-        return longest
+        with np.errstate(divide="ignore"):
+            longest = np.sqrt(2.0 * fall / a)
+            if self._pistons.late:
+                longest = np.minimum(longest, 2.0 * reach / (u + np.sqrt(u * u + 2.0 * a * reach)))
+        return float(longest.min())
 
     def place(self, time: float) -> None:
-        """Write the place of the piston; see `WallTranslation`."""
+        """Write where the pistons are; see `WallTranslation`."""
         super().place(time)
         self._write()
 
     def begin(self, before: float, time: float, dt: float, booked: float) -> FloatArray:
-        """Kick the piston as the step begins."""
+        """Kick the pistons as the step begins."""
         self._begun_state[:] = self.state
         self._drift, self._booked = dt, booked
         begun = super().begin(before, time, dt, booked)
+        middle = self.state[:, 0] + 0.5 * dt * self.state[:, 1]  # where they would be
+        self._pistons.acceleration = self._pistons.loaded(middle)
+        self._pistons.acceleration = self._pistons.limited(self.state[:, 1], dt)
         self._kick(booked)
         self._write()
         return begun
 
     def begin_drift(self) -> None:
-        """Let the piston drift with the velocity that contacts gave it."""
+        """Let the pistons drift with the velocities that contacts gave them."""
         self._read()
         super().begin_drift()
-        piston, half = self._piston, 0.5 * self._drift
-        for name, value in zip(GUIDE, (0.0, self.state[1], piston.acceleration, half, 0.0), strict=True):
-            self._records[name][piston.row] = value
-        self._acceleration[piston.row] = piston.acceleration * piston.normal
+        half = 0.5 * self._drift
+        for name, value in zip(GUIDE, (0.0, self.state[:, 1], self._pistons.acceleration, half, 0.0), strict=True):
+            self._records[name][self._rows] = value
+        self._accelerate()
 
     def arrive(self, time: float) -> None:
-        """Move the piston to the end of the step."""
-        moved = self._records[self._piston.row]
-        self.state[1] = moved["guide_speed"]
-        self.state[0] += moved["guide_start"] + self.state[1] * self._drift
+        """Move the pistons to the end of the step."""
+        moved = self._records[self._rows]
+        self.state[:, 1] = moved["guide_speed"]
+        self.state[:, 0] += moved["guide_start"] + self.state[:, 1] * self._drift
         self._write()
         super().arrive(time)
         self._write()
 
-    def push(self, distance: float) -> None:
-        """Move the piston by a distance along its normal (m), for the correction of overlaps."""
-        self.state[0] += distance
+    def push(self, distances: FloatArray) -> None:
+        """Move the pistons along their normals, (k,) m, for the correction of overlaps."""
+        self.state[:, 0] += distances
         self._write()
 
     def finish(self, time: float) -> None:
-        """Kick the piston at the end of the step."""
+        """Kick the pistons at the end of the step."""
         super().finish(time)
         self._kick(self._after)
         self._write()
@@ -153,36 +190,51 @@ class PistonMotion(WallTranslation):
     def accelerate(self) -> FloatArray:
         """Return the velocities of other walls, whose impulses do the work; see `WallTranslation`."""
         velocity = super().accelerate().copy()
-        velocity[self._piston.row] = 0.0
+        velocity[self._rows] = 0.0
         self._write()
         return velocity
 
     def settle(self) -> float:
-        """Note the velocity after the step; return the work of the piston on the bodies in the step, in J."""
+        """Note the velocities after the step; return the work of the pistons on the bodies in the step, in J."""
         self._read()
-        mass, a = self._piston.mass, self._piston.acceleration
-        (s0, u0, _), (s, u, _) = self._begun_state, self.state
-        self.state[2] += mass * (u0 + a * (self._booked + self._after) - u)
-        return float(mass * (a * (s - s0) - 0.5 * (u - u0) * (u + u0)))
+        mass, a = self._pistons.mass, self._pistons.acceleration
+        (s0, u0, _), (s, u, _) = self._begun_state.T, self.state.T
+        self.state[:, 2] += mass * (u0 + a * (self._booked + self._after) - u)
+        work = mass * (a * (s - s0) - 0.5 * (u - u0) * (u + u0))
+        self._load()
+        return float(work.sum())
 
     def rest(self) -> None:
-        """Keep the acceleration of the piston, which the correction of overlaps moves."""
+        """Keep the accelerations of the pistons, which the correction of overlaps moves."""
         super().rest()
-        self._acceleration[self._piston.row] = self._piston.acceleration * self._piston.normal
+        self._accelerate()
+
+    @property
+    def _at_start(self) -> FloatArray:
+        rest = np.zeros_like(self._pistons.velocity)
+        return np.stack([rest, self._pistons.velocity, rest], axis=1)
 
     def _kick(self, duration: float) -> None:
-        self.state[1] += self._piston.acceleration * duration
+        self.state[:, 1] += self._pistons.acceleration * duration
+
+    def _load(self) -> None:
+        """Load the pistons where they are, for the next step."""
+        self._pistons.acceleration = self._pistons.loaded(self.state[:, 0])
+        self._write()
 
     def _write(self) -> None:
         """Write the state into the arrays of the solids."""
-        row, normal = self._piston.row, self._piston.normal
-        for axis, along in zip(_AXES, normal, strict=True):
-            self._records[f"motion_origin_{axis}"][row] = self._records[f"motion_shift_{axis}"][row] = (
-                self.state[0] * along
+        for axis, along in zip(_AXES, self._pistons.normals.T, strict=True):
+            shift = self.state[:, 0] * along
+            self._records[f"motion_origin_{axis}"][self._rows] = self._records[f"motion_shift_{axis}"][self._rows] = (
+                shift
             )
-        self._velocity[row] = self.state[1] * normal
-        self._acceleration[row] = self._piston.acceleration * normal
+        self._velocity[self._rows] = self.state[:, 1:2] * self._pistons.normals
+        self._accelerate()
+
+    def _accelerate(self) -> None:
+        self._acceleration[self._rows] = self._pistons.acceleration[:, None] * self._pistons.normals
 
     def _read(self) -> None:
-        """Read the piston's velocity, which contacts have changed."""
-        self.state[1] = float((self._velocity[self._piston.row] * self._piston.normal).sum())
+        """Read the velocities, which contacts have changed."""
+        self.state[:, 1] = (self._velocity[self._rows] * self._pistons.normals).sum(axis=1)

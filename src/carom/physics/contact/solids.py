@@ -48,28 +48,28 @@ ARC_PASSES = 3  # passes of Newton's method; each doubles the number of correct 
 LARGEST_ARC = 0.5  # fraction of the focal distance by which a body may move along a wall in a step
 
 
-class GuidedPlane(Protocol):
-    """A plane that contacts move along its normal."""
+class GuidedPlanes(Protocol):
+    """The planes that contacts move along their normals."""
 
     @property
-    def row(self) -> int:
-        """The number of the plane among the solids."""
+    def rows(self) -> IntArray:
+        """Their numbers among the solids, (k,)."""
         ...
 
     @property
-    def normal(self) -> FloatArray:
-        """The normal, (3,)."""
+    def normals(self) -> FloatArray:
+        """The normals, (k, 3)."""
         ...
 
     @property
-    def acceleration(self) -> float:
-        """The acceleration along the normal in m/s², without contacts."""
+    def largest_acceleration(self) -> float:
+        """The largest of their accelerations along their normals in m/s², without contacts."""
         ...
 
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> WallTranslation:
-        """Return the object that moves the plane, and walls with a prescribed motion, through the phases of a step.
+        """Return what moves them, and the walls with a prescribed motion, through the phases of a step.
 
         ``smallest`` is the radius of the smallest body in m; for the other parameters see `WallTranslation`.
         """
@@ -84,7 +84,7 @@ class SolidsWithWalls(HalfSpaces):
     before: Records  # (p,) records at the beginning of the step, if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
     solid_of_end: IntArray  # (p + f,) the number of each solid, and of the wall of each facet
-    guided: GuidedPlane | None = None  # the plane that contacts move, if any
+    guided: GuidedPlanes | None = None  # the planes that contacts move, if any
     press_alone: bool = False
 
     @property

@@ -87,7 +87,7 @@ def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
 class WallTranslation:
     """Moves the walls of a scene through the phases of a step.
 
-    The places of these walls follow from the time. A subclass with a wall that contacts move (`guided_walls`) also
+    The places of these walls follow from the time. A subclass with walls that contacts move (`guided_walls`) also
     replaces `forget`, `memory`, `recall`, `longest_step`, `push` and `settle`.
 
     Parameters
@@ -164,7 +164,7 @@ class WallTranslation:
 
     @property
     def memory(self) -> FloatArray | None:
-        """A copy of the state of the wall that contacts move; None without one."""
+        """A copy of the state of the walls that contacts move; None without them."""
         return None
 
     def recall(self, state: FloatArray) -> None:
@@ -175,11 +175,11 @@ class WallTranslation:
         """The longest step (s) in which walls move by less than the bodies resolve; infinite if contacts move none."""
         return np.inf
 
-    def push(self, distance: float) -> None:
-        """Move the wall that contacts move by a distance along its normal (m), for the correction of overlaps."""
+    def push(self, distances: FloatArray) -> None:
+        """Move the walls that contacts move along their normals, (k,) m, for the correction of overlaps."""
 
     def settle(self) -> float:
-        """Note the velocity that contacts give a wall in the step; return the wall's work on the bodies in J."""
+        """Note the velocities that contacts give walls in the step; return their work on the bodies in J."""
         return 0.0
 
     def _set_velocities(self, time: float) -> None:

@@ -39,8 +39,11 @@ class MovingWalls(OptionalPart):
             moving = solids.records[ends], solids.before[ends], bodies.ends, motions
             guided, smallest = solids.guided, float(bodies.radius.min())
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
-        self._velocity = NO_VELOCITIES  # (p, 3) m/s, velocities at which the work of translating solids is computed
-        self._work = 0.0  # J, work of moving walls on bodies in this step
+            yields = bodies.ends.inverse_mass[len(bodies) :]  # 1/kg, of solids that contacts move
+            pull = np.sqrt(np.square(bodies.ends.acceleration[len(bodies) :]).sum(axis=1))[yields > 0.0]
+            self.pressing_energy = float((pull / yields[yields > 0.0]).sum()) * smallest
+        self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, at which their work is computed
+        self._work = 0.0  # J, work of moving walls on bodies in the step
         self.entries = (ENTRY,) if solids.moves else ()
 
     def forget(self) -> None:
@@ -50,13 +53,13 @@ class MovingWalls(OptionalPart):
             self._translation.forget()
 
     def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
-        """Add the state of the wall that contacts move."""
-        return replace(memory, piston=self._translation.memory) if self._translation else memory
+        """Add the state of the walls that contacts move."""
+        return replace(memory, pistons=self._translation.memory) if self._translation else memory
 
     def recall(self, memory: ContactCheckpoint) -> None:
         """Return to the state of a checkpoint."""
-        if self._translation and memory.piston is not None:
-            self._translation.recall(memory.piston)
+        if self._translation and memory.pistons is not None:
+            self._translation.recall(memory.pistons)
 
     def place(self, time: float) -> None:
         """Move walls that translate to their places at a time (s)."""
@@ -106,7 +109,7 @@ class MovingWalls(OptionalPart):
             self._translation.arrive(step.time)
 
     def corrected(self, step: PresentStep) -> None:
-        """Push a guided wall by the distance of the correction of overlaps."""
+        """Push guided walls by the distances of the correction of overlaps."""
         if self._translation:
             self._translation.push(step.pushed)
 
@@ -131,7 +134,7 @@ class MovingWalls(OptionalPart):
             self._translation.rest()
 
     def conclude(self, step: PresentStep) -> None:
-        """Add the work of a wall that contacts move."""
+        """Add the work of walls that contacts move."""
         if self._translation:
             self._work += self._translation.settle()
 

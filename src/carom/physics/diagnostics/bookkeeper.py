@@ -43,11 +43,19 @@ class BalanceAudit:
     """Energy and momentum at the last frame or check, compared with their values at the start of the run.
 
     ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, ``constant`` (J) the gravitational
-    energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and optional parts.
+    energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and optional parts,
+    ``pressing`` (J) the work of loads over a radius.
     """
 
     def __init__(
-        self, scene: Scene, bodies: Bodies, names: Names, uniform: FloatArray, constant: float, losses: Iterable[str]
+        self,
+        scene: Scene,
+        bodies: Bodies,
+        names: Names,
+        uniform: FloatArray,
+        constant: float,
+        losses: Iterable[str],
+        pressing: float = 0.0,
     ) -> None:
         periodic = scene.domain.is_periodic
         self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
@@ -57,8 +65,8 @@ class BalanceAudit:
         self._bodies = bodies
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
-        self._energy = EnergyAccount(bodies, uniform, held, constant)
-        booked = len(self.ledger.forces) > 0  # then even the field's work is booked step by step
+        self._energy = EnergyAccount(bodies, uniform, held, constant, pressing)
+        booked = len(self.ledger.forces) > 0  # then even the field is booked step by step
         self.momenta = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self.monitor = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
@@ -178,7 +186,8 @@ class Bookkeeper:
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
         losses = [*forces.losses, *(entry for part in world.parts for entry in part.entries)]
-        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
+        pressing = sum(part.pressing_energy for part in world.parts)
+        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses, pressing)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks

@@ -36,7 +36,8 @@ class EnergyAccount:
     - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
       start: the conserved total, less the energy removed by contacts and drag, plus the energy added by stabilisation;
     - the energy that the other forces and the spins exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
-    - Σ m |g| r, if there is a field: bodies that rest on a plane have no other energy.
+    - Σ m |g| r, if there is a field, and ``pressing`` (J), the same of loads: bodies that rest on a plane have no other
+      energy.
 
     If kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
     Speeds in E_c are relative to fixed bodies and walls, or without them to the centre of mass. E_c excludes the energy
@@ -50,6 +51,7 @@ class EnergyAccount:
         field: FloatArray,
         anchored: bool = False,
         constant: float = 0.0,
+        pressing: float = 0.0,
         spins_count: bool = False,
     ) -> None:
         self._bodies = bodies
@@ -57,8 +59,8 @@ class EnergyAccount:
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
-        self._lift = float(lift)  # J, Σ m |g| r of the bodies
-        self.baseline: EnergyBaseline | None = None  # the energy at the start; None before the first call
+        self._lift = float(lift) + pressing  # J, Σ m |g| r, and the work of loads over a radius
+        self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(
         self,

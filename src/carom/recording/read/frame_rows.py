@@ -170,7 +170,7 @@ class Continuation:
         """Read the values on which the rows of the next frame depend."""
         found = self._reached or self.recording.checkpoint(self.step)
         held = found.contacts
-        counts = held is not None and (held.piston is not None or held.release is not None)  # series need differences
+        counts = held is not None and (held.pistons is not None or held.release is not None)  # series need differences
         contacts = held if counts else None
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)
 

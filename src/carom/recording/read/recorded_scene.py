@@ -20,7 +20,7 @@ from carom.recording.schema.curve_outline import CurveOutline
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, motions_of, scene_digest
 from carom.recording.schema.paths import ENERGY, STEPS
 from carom.recording.schema.properties import fields_read
-from carom.recording.schema.series import all_series, outlet_series
+from carom.recording.schema.series import all_series, outlet_series, piston_series
 from carom.recording.timelines import SIM_TIME, STEP
 from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.extensions import missing, names_of, stamped
@@ -127,12 +127,12 @@ def header_of_recording(recording: RecordedData) -> Header:
     extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
     drives, scene = bool(info.get("drives", False)), None
-    if drives or "piston" in info or "material" in recording.scene_toml:  # reading the scene may take seconds
+    if drives or "pistons" in info or "material" in recording.scene_toml:  # reading the scene may take seconds
         with suppress(RecordingError, SceneError):  # this version may be unable to read the scene
             scene = recorded_scene(recording)
     planes = None
     if paths.PLANES in static:  # planes as drawn, without sides, unless a piston moves along its normal
-        planes = planes_of(scene) if scene and "piston" in info else recording.drawn_planes()
+        planes = planes_of(scene) if scene and "pistons" in info else recording.drawn_planes()
     colour_by = str(info["colour_by"]) if info["colour_by"] in COLOUR_BY else "auto"
     stated = fields_read(info) | {"title": recording.title, "colour_by": colour_by}
     return Header(
@@ -150,6 +150,7 @@ def header_of_recording(recording: RecordedData) -> Header:
         shortest_dt_hint=0.0,
         units=recording.units,
         entries=recording.entries,
+        pistons=pistons_of(info),
         outlets=outlets_of(info),
         drives=drives,
         motions=motions_of(scene) if scene and drives else {},
@@ -162,6 +163,11 @@ def header_of_recording(recording: RecordedData) -> Header:
     )
 
 
+def pistons_of(properties: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return the numbers of the planes that contacts move in a recording, from its properties."""
+    return tuple(int(number) for number in str(properties.get("pistons", "")).split() if number.isdigit())
+
+
 def outlets_of(properties: Mapping[str, Any]) -> list[str]:
     """Return the names of the outlets of a recording, from its properties."""
     return str(properties.get("outlets", "")).splitlines()
@@ -171,7 +177,8 @@ def recorded_curves(recording: RecordedData, until: int | None = None) -> dict[s
     """Return the outlines of all plotted series by path, optionally only up to a step."""
     curves: dict[str, CurveOutline] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
-    for series in (*all_series(stamped(recording.info)), *outlet_series(outlets_of(recording.info))):
+    pistons, outlets = len(pistons_of(recording.info)), outlets_of(recording.info)
+    for series in (*all_series(stamped(recording.info)), *piston_series(pistons), *outlet_series(outlets)):
         table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
         if series.plot is not None and name in table.column_names:
             kept = slice(None) if until is None else table[STEP].to_numpy() <= until

@@ -141,7 +141,7 @@ class Header:
     promises: bool = False  # whether the run promises an accuracy
     drives: bool = False  # whether a wall moves
     motions: Mapping[str, WallMotion] = field(default_factory=dict)  # motions of moving walls, by entity
-    piston: int | None = None  # number of the plane that contacts move
+    pistons: Sequence[int] = ()  # numbers of the planes that contacts move
     entries: EntryStates | None = None  # how bodies enter; None if all exist from the start
     outlets: Sequence[str] = ()  # names of the places where bodies leave
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
@@ -201,8 +201,8 @@ class Header:
 
     @property
     def has_piston(self) -> bool:
-        """Whether contacts move a plane."""
-        return self.piston is not None
+        """Whether contacts move planes."""
+        return bool(self.pistons)
 
     @property
     def admits(self) -> bool:

@@ -130,11 +130,11 @@ def _energy_of(kind: ForceKind) -> Series:
     return Series(path, "J", kind.legend, LINES[kind.colour], plot, value, kind.meaning, kind.recorded_with)
 
 
-def _piston(state: Frame | Checkpoint) -> FloatArray:
-    """Return `PistonMotion.state`."""
-    piston = _contacts_of(state).piston
-    assert piston is not None, "the scene has a piston"
-    return piston
+def _piston(state: Frame | Checkpoint, number: int = 0) -> FloatArray:
+    """Return the row of a piston in `PistonMotion.state`, (3,)."""
+    pistons = _contacts_of(state).pistons
+    assert pistons is not None, "the scene has a piston"
+    return np.asarray(pistons[number])
 
 
 def _contacts_of(state: Frame | Checkpoint) -> ContactCheckpoint:
@@ -143,12 +143,12 @@ def _contacts_of(state: Frame | Checkpoint) -> ContactCheckpoint:
     return memory
 
 
-def _force_on_piston(sample: Sample) -> float:
-    """Return the mean force (N) of the bodies on the piston since the previous frame."""
+def _force_on_piston(sample: Sample, number: int = 0) -> float:
+    """Return the mean force (N) of the bodies on a piston since the previous frame."""
     frame, before = sample.frame, sample.before
     if before is None or frame.time <= before.time:
         return 0.0
-    return float(_piston(frame)[2] - _piston(before)[2]) / (frame.time - before.time)
+    return float(_piston(frame, number)[2] - _piston(before, number)[2]) / (frame.time - before.time)
 
 
 def _rate_through(outlet: int, column: int) -> Callable[[Sample], float]:
@@ -163,6 +163,49 @@ def _rate_through(outlet: int, column: int) -> Callable[[Sample], float]:
         return float(now.totals[outlet, column] - then.totals[outlet, column]) / (frame.time - before.time)
 
     return rate
+
+
+def _of_piston(number: int) -> Iterator[Series]:
+    """Yield the series of a piston; the first has number 0, which its names leave out."""
+    after, called = (f"_{number}", f"piston {number}") if number else ("", "piston")
+    colours = list(LINES.values())
+    blue, orange = (colours[(colours.index(first) + number) % len(colours)] for first in (BLUE, ORANGE))
+    yield Series(
+        f"step/piston{after}_position",
+        "m",
+        called,
+        blue,
+        _PISTON,
+        lambda s: float(_piston(s.frame, number)[0]),
+        f"displacement of the {called} along its normal",
+        "piston",
+    )
+    yield Series(
+        f"step/piston{after}_velocity",
+        "m/s",
+        called,
+        blue,
+        None,
+        lambda s: float(_piston(s.frame, number)[1]),
+        f"velocity of the {called} along its normal",
+        "piston",
+    )
+    yield Series(
+        f"step/piston{after}_force",
+        "N",
+        f"on the {called}",
+        orange,
+        _FORCE,
+        lambda s: _force_on_piston(s, number),
+        f"mean force of the bodies on the {called} since the previous frame",
+        "piston",
+    )
+
+
+def piston_series(count: int) -> Iterator[Series]:
+    """Yield the series of pistons beyond the first, which `SERIES` has."""
+    for number in range(1, count):
+        yield from _of_piston(number)
 
 
 def outlet_series(names: Iterable[str]) -> Iterator[Series]:
@@ -229,12 +272,7 @@ SERIES = (
            lambda s: s.overlap, "deepest overlap of a contact", "contact"),
     Series("step/relative_overlap", "1", "deepest overlap / smaller radius", palette.SLATE, _OVERLAP,
            lambda s: s.relative_overlap, "largest overlap over the smaller radius of the pair", "contact"),
-    Series("step/piston_position", "m", "piston", BLUE, _PISTON,
-           lambda s: float(_piston(s.frame)[0]), "displacement of the piston along its normal", "piston"),
-    Series("step/piston_velocity", "m/s", "piston", BLUE, None,
-           lambda s: float(_piston(s.frame)[1]), "velocity of the piston along its normal", "piston"),
-    Series("step/piston_force", "N", "on the piston", ORANGE, _FORCE,
-           _force_on_piston, "mean force of the bodies on the piston since the previous frame", "piston"),
+    *_of_piston(0),
     Series("step/present", "1", "bodies", BLUE, None,
            lambda s: len(s.mass) - (0 if s.frame.waits is None else int(np.count_nonzero(s.frame.waits))),
            "bodies that do not wait to enter, and have not left", "release"),
@@ -287,7 +325,7 @@ def recorded(header: Header) -> Iterator[Series]:
 
 
 def _possible(header: Header) -> tuple[Series, ...]:
-    return (*all_series(header.extensions), *outlet_series(header.outlets))
+    return (*all_series(header.extensions), *piston_series(len(header.pistons)), *outlet_series(header.outlets))
 
 
 def names_below(root: str) -> list[str]:

@@ -56,14 +56,14 @@ def moving_walls(header: Header) -> Mapping[str, MovingWall]:
 
 
 def piston_rows(header: Header, index: Index, frames: Sequence[Frame]) -> Iterable[Rows]:
-    """Yield the transform of the piston, if there is one, in some frames."""
-    if header.piston is None or header.planes is None:
+    """Yield the transform of each piston in some frames."""
+    if header.planes is None:
         return
-    states = [frame.memory.piston for frame in frames if frame.memory is not None]
-    displacement = np.array([0.0 if state is None else state[0] for state in states])
-    places = single(displacement[:, None] * header.planes.normal[header.piston])
-    column = vector_column(rr.Transform3D.descriptor_translation(), places)
-    yield Rows(f"{MOVING}/plane-{header.piston}", index, [column])
+    states = [frame.memory.pistons for frame in frames if frame.memory is not None]
+    for row, plane in enumerate(header.pistons):
+        displacement = np.array([0.0 if state is None else state[row, 0] for state in states])
+        places = single(displacement[:, None] * header.planes.normal[plane])
+        yield Rows(f"{MOVING}/plane-{plane}", index, [vector_column(rr.Transform3D.descriptor_translation(), places)])
 
 
 def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray) -> Iterable[Rows]:

@@ -19,6 +19,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.graph import SolveOrder, solve_order_of
+from carom.physics.contact.guided_walls import NO_PUSHES
 from carom.physics.contact.islands import MOST_EXACT, Islands, mark_meshed
 from carom.physics.contact.law import Materials
 from carom.physics.contact.loads import UNKNOWN, add_loads, clear_loads, write_rest_speeds
@@ -269,25 +270,26 @@ class ContactSolver:
             near = system.pairs, system.position, ends.velocity, system.surface
             self.turning = add_load_of_walls(*near, lift, self.pressing)
 
-    def correct_positions(self, max_iterations: int) -> float:
-        """Correct the overlaps of resting contacts; return the displacement (m) of a guided wall along its normal."""
+    def correct_positions(self, max_iterations: int) -> FloatArray:
+        """Correct the overlaps of resting contacts; return how far they move the guided walls, (k,) m."""
         system, counts = self._system, self.counts
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
         moving = bodies.position, ends.velocity
         gathered = (*moving, ends.radius, ends.inverse_mass), system.pushed, system.pushed_in
-        guided, end = self._planes.guided, len(bodies) + (self._planes.guided.row if self._planes.guided else 0)
-        if guided:  # also where nothing touches the wall, since the displacement is returned
+        guided = self._planes.guided
+        if guided:  # also where nothing touches them, since their displacements are returned
             for axis in ("x", "y", "z"):
-                system.pushed[axis][end] = 0.0
+                system.pushed[axis][len(bodies) + guided.rows] = 0.0
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
         self._work(POSITIONS, system, max_iterations)
         if guided:  # planes have no position
             active = active[: np.searchsorted(active, len(bodies))]
         team.divide(len(active), MIN_PER_TASK, scatter_positions, active, system.pushed, system.pushed_in, *moving)
         if not guided:
-            return 0.0
-        return float(sum(system.pushed[axis][end] * along for axis, along in zip("xyz", guided.normal, strict=True)))
+            return NO_PUSHES
+        pushed = system.pushed[len(bodies) + guided.rows]
+        return np.asarray(sum(pushed[axis] * along for axis, along in zip("xyz", guided.normals.T, strict=True)))
 
     def audit_corrections(self) -> None:
         """Book the work of the position correction, at the accelerations after it."""

@@ -88,9 +88,9 @@ class Workspace:
         self.loads = np.zeros(count, dtype=LOAD)
         self._bodies = aligned_empty(count, GUIDED_BODY if planes.guided else BODY_STATE)
         if planes.guided:
-            for axis, along in zip(("axis_x", "axis_y", "axis_z"), planes.guided.normal, strict=True):
+            for axis, along in zip(("axis_x", "axis_y", "axis_z"), planes.guided.normals.T, strict=True):
                 self._bodies[axis][:] = 0.0
-                self._bodies[axis][count - len(planes.owner) + planes.guided.row] = along
+                self._bodies[axis][count - len(planes.owner) + planes.guided.rows] = along
         self._pushed = aligned_empty(count, PUSHED_BODY)
         self._pushed_in = np.empty(count, dtype=np.int64)
         self._island = np.empty(count, dtype=np.int64)
