@@ -14,8 +14,8 @@ interrupted within one.
 Rejected, with measurements:
 
 - Numba's ``prange``: its threads meet at a barrier after each of hundreds of colours, which takes 2 µs on a quiet
-  machine, and 7.8 ms beside two busy processes with libgomp's defaults. The threading layer of ``prange`` also depends on
-  the machine.
+  machine, and 7.8 ms beside two busy processes with libgomp's defaults. The threading layer of ``prange`` also depends
+  on the machine.
 - One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
   is polling the board starts within 1 µs.
 - Helpers that ask the interpreter which function to call: they and the leader wait for its lock, 10 to 30 µs a phase. A
