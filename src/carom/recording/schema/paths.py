@@ -5,7 +5,7 @@ The entities of scalars are in `series`.
 
 from __future__ import annotations
 
-SCHEMA_VERSION = 5  # schema of recordings; a version of carom reads only the schema that it writes
+SCHEMA_VERSION = 6  # schema of recordings; a version of carom reads only the schema that it writes
 
 ABOUT = "about"  # texts for readers without carom
 LEGEND = "legend"  # the drawn legend beside a viewer
