@@ -65,6 +65,7 @@ def test_a_ball_that_rolls_over_a_thousand_flat_triangles_does_not_notice(tmp_pa
     assert np.abs(meshed.angular_velocity - plane.angular_velocity).max() < 1e-7
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("place", "nearest"),
     [([1.05, 0.3], [1.0, 0.3]), ([1.03, 1.04], [1.0, 1.0]), ([0.0, 0.0], [0.0, 0.0]), ([0.25, 0.4], [0.25, 0.4])],
@@ -86,6 +87,7 @@ def test_a_ball_bounces_along_the_line_to_the_nearest_point(
     assert np.abs(space.state.position[0] - expected).max() < 1e-11  # one impact, and steps of 1 ms
 
 
+@pytest.mark.nightly
 def test_a_ball_in_a_groove_touches_both_sides_and_stays_there(tmp_path: Path) -> None:
     groove = np.array(
         [
@@ -121,6 +123,7 @@ def test_no_ball_leaves_a_closed_box_through_edges_or_corners(tmp_path: Path) ->
     assert speeds.max() > 1.0, "they still move"
 
 
+@pytest.mark.nightly
 def test_a_recording_replays_without_the_file_on_two_threads(tmp_path: Path) -> None:
     path, run = stl(tmp_path / "floor.stl", floor(2.0, 8)), tmp_path / "run.rrd"
     balls = [{"position": [0.3 * k - 0.9, 0.1 * k, 0.3 + 0.1 * k], "radius": r, "density": 1000.0} for k in range(7)]
@@ -142,6 +145,7 @@ def test_walls_that_move_are_refused_beside_a_mesh(tmp_path: Path) -> None:
         end_of({"wall": [lift, far(tmp_path)]}, [{"position": [0, 0, 3]}], 0.1)
 
 
+@pytest.mark.nightly
 def test_a_meshed_cylinder_converges_to_the_cylinder_at_the_order_of_its_facets(tmp_path: Path) -> None:
     angle = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, 24)
     balls = [
