@@ -45,15 +45,18 @@ def depends_on_all(section: Any, axis: int, period: float) -> Mapping[str, float
 class WallShape:
     """A shape of a wall.
 
-    carom compiles ``nearest`` with Numba, like the functions of a `carom.extend.BodyForce`. Its last result, the focal
-    distance, bounds the curvature. In a ball of that radius about the point, a level surface of the distance that
-    curves towards the bodies has its centres of curvature outside the ball. The focal distance is infinite if no level
-    surface curves towards the bodies.
+    carom compiles ``nearest`` with Numba, like the functions of a `carom.extend.BodyForce`. Where a shape needs kernels
+    of its own, ``nearest`` and ``touches`` are "module:function", so that reading a scene loads no compiler.
+
+    The last result of ``nearest``, the focal distance, bounds the curvature. In a ball of that radius about the point,
+    a level surface of the distance that curves towards the bodies has its centres of curvature outside the ball. The
+    focal distance is infinite if no level surface curves towards the bodies.
     """
 
     section: type[Any]  # section in a scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
-    nearest: Callable[..., tuple[float, float, float, float, float]]  # (p, x, y, z) → the unit normal that points from
-    # the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance in m
+    nearest: Callable[..., tuple[float, float, float, float, float]] | str  # (p, x, y, z) → the unit normal that points
+    # from the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance
+    # in m
     mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → the wall within about reach of centre
     fields: tuple[str, ...]  # of p
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # (section) → the fields by name, in SI units
@@ -65,12 +68,18 @@ class WallShape:
     # → the fields to change where space repeats along an axis; None if the distance then depends on that coordinate
     facets: Callable[[Any], Facets] | None = None  # (section) → the facets of a wall that consists of many; ``nearest``
     # then is that of a facet
-    touches: Callable[..., bool] | None = None  # (surface, facet, x, y, z) → whether the wall's point nearest to
+    touches: Callable[..., bool] | str | None = None  # (surface, facet, x, y, z) → whether the wall's point nearest to
     # (x, y, z) belongs to this facet and to no neighbour; ``surface`` has p of each facet, and ``facet`` is its number
     read: Callable[[Path, str], str] | None = None  # (path, its name in messages) → the content of the file that the
     # section names with its key ``file``; carom keeps it in the section's key `CONTENT`
     doubts: Callable[[Any, float, UnitSystem], list[str]] | None = None  # (section, median radius of the bodies in m,
     # units of the scene) → a sentence for each probable mistake
+
+
+def function_of(given: Callable[..., Any] | str) -> Callable[..., Any]:
+    """Return a function of a shape, given itself or as "module:function"."""
+    function: Callable[..., Any] = registry.imported(given) if isinstance(given, str) else given
+    return function
 
 
 def shape_called(name: str) -> WallShape:

@@ -174,7 +174,7 @@ def test_a_manifest_with_a_path_that_leads_elsewhere_is_refused(name: str, key: 
         document["runs"][0][key] = name
     manifest.folder.manifest.write_text(json.dumps(document), encoding="utf-8")
     for use in (read, clear):
-        with pytest.raises(ExperimentError, match=r"is no (file below the folder of the sweep|name of a run)"):
+        with pytest.raises(ExperimentError, match=r"is not (a file below the folder of the sweep|the name of a run)"):
             use(manifest.folder)
     assert manifest.folder.manifest.exists()
 

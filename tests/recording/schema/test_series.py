@@ -12,7 +12,7 @@ import pytest
 from carom.recording.layout.plot_views import shown_series
 from carom.recording.read.recording import Recording
 from carom.recording.schema.curve_outline import CurveOutline
-from carom.recording.schema.palette import LINES
+from carom.recording.schema.palette import CONTACTS, FRICTION, IMPACTS, LINES, SLATE
 from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
 from carom.recording.write.recorder import FrameRecorder
 from scripted_run import ScriptedRun
@@ -61,7 +61,9 @@ def test_the_curves_of_a_plot_have_different_colours() -> None:
         left_out = [f"energy/ledger/{name}" for name in absent]
         colours = [series.colour for series in SERIES if series.plot == plot and series.path not in left_out]
         assert len(set(colours)) == len(colours), plot.title
-        assert set(colours) <= set(LINES.values()), "others are not legible in both themes"
+        assert set(colours) <= {*LINES.values(), CONTACTS, IMPACTS, FRICTION, SLATE}, (
+            "others are not legible in both themes"
+        )
 
 
 def test_a_plot_leaves_out_energies_that_are_rounding_errors_of_the_largest() -> None:

@@ -38,7 +38,7 @@ from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces
-from carom.scene.wall_shapes import Facets, shape_called
+from carom.scene.wall_shapes import Facets, function_of, shape_called
 
 _MARK = "walls_"  # prefix of the first field's name in the records
 _PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
@@ -251,8 +251,8 @@ def _spin_of(wall: Wall) -> FloatArray:
 
 def _mark_of(shapes: list[str], translates: bool) -> str:
     """Prepare the functions of shapes for kernels; return the name of the field that identifies these shapes."""
-    functions = [shape_called(name).nearest for name in shapes]
-    touching = [touches for name in shapes if (touches := shape_called(name).touches) is not None]
+    functions = [function_of(shape_called(name).nearest) for name in shapes]
+    touching = [function_of(touches) for name in shapes if (touches := shape_called(name).touches) is not None]
     mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions, *touching)}"
     if mark not in _nearest:
         chosen: Callable[..., Any] = inline(_of_plane)
@@ -262,7 +262,7 @@ def _mark_of(shapes: list[str], translates: bool) -> str:
         chosen = inline(_always)
         for kind, name in enumerate(shapes, start=1):
             if (touches := shape_called(name).touches) is not None:
-                chosen = _either_facet(kind, inline(touches), chosen)
+                chosen = _either_facet(kind, inline(function_of(touches)), chosen)
         _touches[mark] = chosen
     return mark
 

@@ -46,7 +46,7 @@ POLL = 0.02  # s, between two checks of a claim
 # their types. If imports into the scene counted, a changed message there would compile all kernels again.
 SOURCES = (
     *("physics/", "scene/forces.py", "scene/portable_math.py", "scene/rest_speed.py", "contact_table.py", "arrays.py"),
-    "extend.py",
+    *("extend.py", "walls/"),
 )
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from carom.arrays import FloatArray
 from carom.extend import LENGTH, Facets, Mesh, Positive, Real, Section, UnitSystem, WallShape, unit_vector
-from carom.walls.mesh.facet import FIELDS, fields_of, nearest, touches
+from carom.walls.mesh.facet_fields import FIELDS, fields_of
 from carom.walls.mesh.mesh_file import enclosed, read, unpacked
 
 SMALLEST, LARGEST = 1.0, 2000.0  # width of a mesh, in radii of the bodies, beyond which its unit is doubtful
@@ -88,5 +88,14 @@ def doubts(section: MeshWall, radius: float, units: UnitSystem) -> list[str]:
 
 
 WALL = WallShape(
-    MeshWall, nearest, mesh, FIELDS, flat=True, thin=True, facets=facets, touches=touches, read=read, doubts=doubts
+    MeshWall,
+    "carom.walls.mesh.facet:nearest",
+    mesh,
+    FIELDS,
+    flat=True,
+    thin=True,
+    facets=facets,
+    touches="carom.walls.mesh.facet:touches",
+    read=read,
+    doubts=doubts,
 )

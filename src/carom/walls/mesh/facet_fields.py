@@ -1,0 +1,75 @@
+"""The fields of the triangles of a mesh: corners, normals, and the kinds of their edges and corners.
+
+This module does without the compiler, which commands that only read a scene do not load.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray, IntArray
+
+CORNERS = tuple(f"corner_{k}{axis}" for k in range(3) for axis in "xyz")
+NORMAL = ("normal_x", "normal_y", "normal_z")
+INWARD = tuple(f"inward_{k}{axis}" for k in range(3) for axis in "xyz")  # in the plane, from edge k into the triangle
+ACROSS = tuple(f"across_{k}{axis}" for k in range(3) for axis in "xyz")  # the same of the neighbour; 0 without one
+EDGES = tuple(f"edge_{k}" for k in range(3))  # edge k, from corner k to the next: `FREE`, `OWN`, `OTHER` or `FLAT`
+TURNS = tuple(f"turn_{k}" for k in range(3))  # to the next triangle with corner k: difference of their numbers
+SPOTS = tuple(f"spot_{k}" for k in range(3))  # which of its corners it is
+TIPS = tuple(f"tip_{k}" for k in range(3))  # corner k: `OWN`, `OTHER`, or `FLAT_OWN` if all edges there are flat
+FIELDS = (*CORNERS, *NORMAL, *INWARD, *ACROSS, *EDGES, *TURNS, *SPOTS, *TIPS)
+FREE, OWN, OTHER, FLAT_OWN, FLAT_OTHER = 0.0, 1.0, 2.0, 3.0, 4.0  # kinds; flat ones touch nothing
+FLAT = 1e-5  # rad between neighbours; coordinates of seven digits turn a triangle by 1e-6, if it is not small
+
+
+def fields_of(corners: FloatArray, triangles: IntArray) -> dict[str, FloatArray]:
+    """Return the fields of all triangles, (f,) each.
+
+    ``corners`` are (k, 3) m, and ``triangles``, (f, 3), refer to them. An edge has at most two triangles.
+    """
+    count = len(triangles)
+    points = corners[triangles]  # (f, 3, 3)
+    along = np.roll(points, -1, axis=1) - points
+    along /= _length(along)[..., None]
+    normal = np.cross(along[:, 0], along[:, 1])
+    normal /= _length(normal)[:, None]
+    inward = np.cross(normal[:, None], along)
+    kinds, across = np.full((count, 3), FREE), np.zeros((count, 3, 3))
+    one, other = _neighbours(triangles)  # places 3 f + k of edges that lie on each other, the first triangle first
+    flat = _length(inward.reshape(-1, 3)[one] + inward.reshape(-1, 3)[other]) <= FLAT
+    across.reshape(-1, 3)[one], across.reshape(-1, 3)[other] = inward.reshape(-1, 3)[other], inward.reshape(-1, 3)[one]
+    kinds.reshape(-1)[one] = np.where(flat, FLAT_OWN, OWN)
+    kinds.reshape(-1)[other] = np.where(flat, FLAT_OTHER, OTHER)
+    following, first = _rings(triangles)
+    turns = following // 3 - np.arange(count)[:, None]
+    sharp = np.zeros(len(corners), dtype=np.bool_)
+    sharp[triangles[kinds < FLAT_OWN]] = sharp[np.roll(triangles, -1, axis=1)[kinds < FLAT_OWN]] = True
+    tips = np.where(sharp[triangles], np.where(first, OWN, OTHER), FLAT_OWN)
+    columns = [points.reshape(count, 9), normal, inward.reshape(count, 9), across.reshape(count, 9), kinds]
+    table = np.concatenate([*columns, turns, following % 3, tips], axis=1)
+    return dict(zip(FIELDS, np.ascontiguousarray(table.T), strict=True))
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
+
+
+def _neighbours(triangles: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the places of pairs of edges with the same ends, (m,) and (m,)."""
+    ends = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
+    order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable, so that the first triangle comes first
+    same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
+    return order[:-1][same], order[1:][same]
+
+
+def _rings(triangles: IntArray) -> tuple[IntArray, BoolArray]:
+    """Return the next place 3 f + k of the same corner, (f, 3), in a ring, and which are the first of each corner."""
+    flat = triangles.reshape(-1)
+    order = np.argsort(flat, kind="stable")
+    begins = np.append(True, flat[order[1:]] != flat[order[:-1]])
+    starts = np.flatnonzero(begins)
+    following = np.append(order[1:], 0)
+    following[np.append(starts[1:], len(order)) - 1] = order[starts]
+    ring, first = np.empty_like(flat), np.zeros(len(flat), dtype=np.bool_)
+    ring[order], first[order[starts]] = following, True
+    return ring.reshape(-1, 3), first.reshape(-1, 3)
