@@ -532,8 +532,9 @@ def close_up(
     aside = _beside(_fit(header.radius[places], seen, contact).view(area.aspect), contact, spin)
     if velocity is not None:
         longest = float(np.linalg.norm(velocity, axis=2).max()) or 1.0
-        half = 0.5 * _VELOCITY * header.radius[places].min() * velocity[-1] / longest
-        off = seen + (_OFF[1] + _THICK) * header.radius[places, None] * aside
+        whole = _impulse_radii(header.radius[places]) > 0.0  # the others have no arrows of velocities
+        half = 0.5 * _VELOCITY * header.radius[places].min() * velocity[-1][whole] / longest
+        off = seen[whole] + (_OFF[1] + _THICK) * header.radius[places][whole, None] * aside
         ends = np.concatenate([np.zeros((0, 3)) if ends is None else ends, off - half, off + half])
     colours = _told_apart(colours, area.theme)
     sizes, around = header.radius[places], ends if ends is not None else np.zeros((0, 3))
