@@ -14,7 +14,7 @@ from carom.errors import SceneError
 from carom.plan.checks import doubts
 from carom.scene.start import names_of_solids
 from carom.scene.wall_shapes import shape_called
-from carom.walls.mesh.facet import EDGES, FLAT_OWN, FREE, OWN
+from carom.walls.mesh.facet_fields import EDGES, FLAT_OWN, FREE, OWN
 from meshes import box, floor, stl
 
 pytestmark = pytest.mark.needs("trimesh")
