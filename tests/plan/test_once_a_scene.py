@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import weakref
 
 import pytest
 
@@ -51,7 +52,19 @@ def test_no_answer_outlives_its_scene() -> None:
         assert duration(three_bodies(time={"duration": float(seconds)})) == seconds
     gc.collect()
     answers = next(cell.cell_contents for cell in kept if isinstance(cell.cell_contents, dict))
-    assert not answers
+    last = three_bodies()
+    duration(last)
+    assert list(answers) == [id(last)]
+
+
+def test_no_answer_is_dropped_by_a_callback_which_would_swallow_an_interrupt() -> None:
+    @once_a_scene
+    def count(scene: Scene) -> int:
+        return scene.count
+
+    scene = three_bodies()
+    count(scene)
+    assert [reference.__callback__ for reference in weakref.getweakrefs(scene)] == [None]
 
 
 def test_a_refusal_is_repeated() -> None:

@@ -27,7 +27,10 @@ def once_a_scene(decide: Callable[[Scene], Answer]) -> Callable[[Scene], Answer]
         if kept is not None and kept[0]() is scene:
             return kept[1]
         answer = decide(scene)
-        answers[address] = weakref.ref(scene, lambda _: answers.pop(address, None)), answer
+        # Rejected: callbacks of the references. Python drops an exception raised in one, and Ctrl-C with it.
+        for gone in [each for each, (reference, _) in answers.items() if reference() is None]:
+            del answers[gone]
+        answers[address] = weakref.ref(scene), answer
         return answer
 
     return decided
