@@ -19,8 +19,10 @@ from carom.engines.engine_contacts import lengths
 FEWEST = 8  # fewest torques that show an engine's habit
 RUBBED = 0.05  # smallest compared torque, divided by the impulse times its arm
 CLEAR = 20.0  # smallest clear torque, in multiples of the noise of an impulse
-MOSTLY = 0.75  # fraction of an engine's torques that must agree; deviations of the others may be faults
-SPREADS = 6.0  # smallest deviation of a fault, in multiples of the deviation of most torques
+MOSTLY = 0.75  # fraction of an engine's contacts that must agree; deviations of the others may be faults
+# Smallest deviation of a fault, in multiples of the deviation of most contacts: at PyBullet's planes, impulses deviate
+# by as much as the coefficients.
+SPREADS = 6.0
 OFF = 0.05  # smallest deviation of a fault, divided by the torque
 SURELY = 0.01  # the same limit where another frame or inertia explains the torques of the whole run
 EXACT = 0.02  # largest deviation of most torques, relative, if single torques are judged; Box3D's is 0.08

@@ -173,6 +173,12 @@ class Near:
         length = lengths(at)[:, None]
         return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
 
+    def possible_normals(self, rows: IntArray) -> list[FloatArray]:
+        """Return the normals, (m, 3) each, that an engine may have used for some pairs: at touch, before, and now."""
+        before = self.before[rows]
+        earlier = before / np.maximum(lengths(before), np.finfo(float).tiny)[:, None]
+        return [self.directions_of_touch()[rows], earlier, self.normal[rows]]
+
     def passed_deep(self) -> BoolArray:
         """Return a mask of the pairs whose straight paths overlap by more than a twentieth of the sum of radii."""
         path = self.now - self.before

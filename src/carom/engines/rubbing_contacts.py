@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.engines.contact_torques import MOSTLY, SPREADS
 from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
 from carom.engines.source import Setup
 
@@ -22,8 +23,6 @@ SLIDING = 0.1  # of the speed up to which contacts may rest; engines of soft fri
 CLEAR = 20.0  # smallest clear impulse, in multiples of its noise
 ROUNDED = 1e-6  # rounding over m |v|, of engines that compute in single precision
 EXACT = 0.02  # largest deviation of most contacts, over μ, for which single contacts are judged
-MOSTLY = 0.75  # fraction of an engine's contacts that must agree; deviations of the others may be faults
-SPREADS = 6.0  # smallest deviation of a fault, in multiples of the deviation of most contacts
 OFF = 0.1  # smallest deviation of a fault, over μ
 RARELY = 0.05  # fraction of the sticking contacts; if more of them exceed μ, the engine's static friction is larger
 MOST_FRAMES = 100_000  # most frames with samples
@@ -82,8 +81,7 @@ class RubbingContacts:
         mass = setup.mass[body]
         J = sign * mass[:, None] * (now.velocity[body] - before.velocity[body] - setup.gravity * dt)
         noise = ROUNDED * mass * np.maximum(lengths(before.velocity[body]), lengths(now.velocity[body]))
-        to_earlier = near.before[rows] / np.maximum(lengths(near.before[rows]), np.finfo(float).tiny)[:, None]
-        normals = [near.directions_of_touch()[rows], to_earlier, near.normal[rows]]
+        normals = near.possible_normals(rows)
         along = np.array([np.einsum("ij,ij->i", J, normal) for normal in normals])
         across = np.sqrt(np.maximum(np.einsum("ij,ij->i", J, J) - along**2, 0.0))
         slips = [_slip(setup, moment, i, j, normal) for normal in normals for moment in moments]

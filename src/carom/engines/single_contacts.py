@@ -18,7 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.engines.contact_torques import ContactTorque, ContactTorques
+from carom.engines.contact_torques import MOSTLY, SPREADS, ContactTorque, ContactTorques
 from carom.engines.elastic_energy import PARTED
 from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths, rotated
 from carom.engines.missed_impacts import SHALLOW
@@ -36,8 +36,6 @@ WAYS = 6  # variants for an isolated contact: three normals, and the field befor
 FEWEST = 3  # fewest impacts between the same materials
 SLOWER = 0.75  # fraction of an impact's speed; engines stop rebounds below a speed that states show only roughly
 KEPT = 0.25  # fraction of J_n times the gain of speed; friction may dissipate as much as the contact keeps
-MOSTLY = 0.75  # fraction of an engine's impacts that must agree; deviations of the others may be faults
-SPREADS = 6.0  # factor on the deviation of most impacts: at PyBullet's planes, that is as large as the coefficients
 # Smallest deviation of a coefficient of restitution. The coefficients of soft contacts vary by 0.07 with the phase.
 OFF = 0.1
 OVER = 0.05  # change of velocity in the next frame, over the impact's speed, that shows a lasting contact
@@ -274,11 +272,9 @@ class ContactTree:
         # engines with substeps keep a contact's normal and arms while bodies turn and move
         self._rolled = np.maximum(lengths(self._w0), lengths(self._w1)) * dt
         self._depth = np.maximum(-np.minimum(near.gap_before, near.gap_now)[rows], 0.0)
-        # the normals at first touch, before, and now
-        touch = near.directions_of_touch()[rows]
-        earlier = near.before[rows] / np.maximum(lengths(near.before[rows]), np.finfo(float).tiny)[:, None]
-        self._normals = [touch, earlier, near.normal[rows]]
-        self._turned = lengths(near.normal[rows] - earlier)
+        self._normals = near.possible_normals(rows)
+        _, earlier, present = self._normals
+        self._turned = lengths(present - earlier)
 
     def _solve(self, momentum: FloatArray, loose: BoolArray) -> FloatArray:
         """Return the impulse on the second end of each contact, (k, 3) N s, from the leaves of the tree inwards."""
