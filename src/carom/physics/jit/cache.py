@@ -135,10 +135,11 @@ class KernelCache:
         with signals_held():
             target_context.refresh()  # imports parts of Numba at the first call
         codegen = target_context.codegen()
-        path = self._path(_types(sig, codegen))
-        data = self._find(sig, codegen)
+        types = _types(sig, codegen)
+        path = self._path(types)
+        data = self._find(types, sig, codegen)
         if data is None and _claim(path):  # another process may have compiled it meanwhile
-            data = self._find(sig, codegen)
+            data = self._find(types, sig, codegen)
             if data is not None:
                 _release(path)
         if data is None:
@@ -152,7 +153,8 @@ class KernelCache:
 
     def has(self, sig: Any, target_context: Any) -> bool:
         """Return whether there is a valid file for a signature."""
-        return self._find(sig, target_context.codegen()) is not None
+        codegen = target_context.codegen()
+        return self._find(_types(sig, codegen), sig, codegen) is not None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the code for a signature; if that fails, it is compiled again next time."""
@@ -162,9 +164,11 @@ class KernelCache:
         finally:
             _release(self._path(types))
 
-    def _find(self, sig: Any, codegen: Any) -> memoryview | None:
-        """Return the content of a valid file for a signature: compiled on this machine, or shipped with the package."""
-        types = _types(sig, codegen)
+    def _find(self, types: bytes, sig: Any, codegen: Any) -> memoryview | None:
+        """Return the content of a valid file for a signature and its key ``types``.
+
+        The file was compiled on this machine, or is part of the package.
+        """
         data = self._read(self._path(types), types)
         if data is None and _is_baseline_met():
             types = _types(sig, codegen, BASELINE)
