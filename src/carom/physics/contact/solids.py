@@ -252,17 +252,17 @@ def _spin_of(wall: Wall) -> FloatArray:
 def _mark_of(shapes: list[str], translates: bool) -> str:
     """Prepare the functions of shapes for kernels; return the name of the field that identifies these shapes."""
     functions = [function_of(shape_called(name).nearest) for name in shapes]
-    touching = [function_of(touches) for name in shapes if (touches := shape_called(name).touches) is not None]
-    mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions, *touching)}"
+    facets = [(kind, shape_called(name).touches) for kind, name in enumerate(shapes, start=1)]
+    touching = {kind: function_of(touches) for kind, touches in facets if touches is not None}
+    mark = f"{_MARK}{'moving_' if translates else ''}{'_'.join(shapes)}_{identity_of(*functions, *touching.values())}"
     if mark not in _nearest:
         chosen: Callable[..., Any] = inline(_of_plane)
         for kind, function in enumerate(functions, start=1):
             chosen = _either(kind, inline(function), chosen)
         _nearest[mark] = in_frame_of_wall(chosen) if translates else chosen
         chosen = inline(_always)
-        for kind, name in enumerate(shapes, start=1):
-            if (touches := shape_called(name).touches) is not None:
-                chosen = _either_facet(kind, inline(function_of(touches)), chosen)
+        for kind, function in touching.items():
+            chosen = _either_facet(kind, inline(function), chosen)
         _touches[mark] = chosen
     return mark
 

@@ -50,24 +50,24 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
         x, y, z = x - behind * gx, y - behind * gy, z - behind * gz
         wx, wy, wz = vx + since_kick * gx, vy + since_kick * gy, vz + since_kick * gz
         path = (x, y, z), (wx, wy, wz), (gx, gy, gz)
+        bend = np.sqrt(gx * gx + gy * gy + gz * gz)
         for solid in range(len(T.offset)):
             if not consists_of_facets(surface, solid):
-                _predict_with_solid(i, solid, path, span, T, surface)
+                _predict_with_solid(i, solid, path, bend, span, T, surface)
                 continue
-            point, reach = _reach(solid, path, span, T, surface)
+            point, reach = _reach(solid, path, bend, span, T, surface)
             facet, walk = next_facet(surface, solid, first_facet(surface, solid), point, reach + T.radius[i])
             while facet >= 0:
-                _predict_with_solid(i, facet, path, span, T, surface)
+                _predict_with_solid(i, facet, path, bend, span, T, surface)
                 facet, walk = next_facet(surface, solid, walk, point, reach + T.radius[i])
 
 
 @inner
 def _reach(
-    solid: int, path: tuple[Vector, Vector, Vector], span: float, T: Trajectories, surface: FloatArray
+    solid: int, path: tuple[Vector, Vector, Vector], bend: float, span: float, T: Trajectories, surface: FloatArray
 ) -> tuple[Vector, float]:
     """Return where a path begins, relative to a wall, and how far it leads within a span (s) at most, both in m."""
-    (x, y, z), (vx, vy, vz), (gx, gy, gz) = path
-    bend = np.sqrt(gx * gx + gy * gy + gz * gz)
+    (x, y, z), (vx, vy, vz), _ = path
     if walls_translate(surface):
         clock = T.drift[0].clock
         rx, ry, rz = displacement_in_drift(surface, solid, clock)
@@ -85,20 +85,18 @@ def _predict_with_solid(
     i: int,
     solid: int,
     path: tuple[Vector, Vector, Vector],
+    bend: float,
     span: float,
     T: Trajectories,
     surface: FloatArray,
 ) -> None:
     """Store the next impact of a body with a solid, if it precedes the stored impact.
 
-    ``path`` is its position (m), velocity (m/s) and acceleration (m/s²).
+    ``path`` is its position (m), velocity (m/s) and acceleration (m/s²); ``bend`` is the magnitude of the acceleration.
     """
     n, drift, body = len(T.x), T.drift[0], T.body[i]
     clock, dt, kick = drift.clock, drift.dt, drift.kick
     (x, y, z), (wx, wy, wz), (gx, gy, gz) = path
-    vx, vy, vz = vector(T.v, i)
-    ax, ay, az = vector(T.a, i)
-    bend = np.sqrt(gx * gx + gy * gy + gz * gz)
     held = body.is_straight and not body.is_free  # the contacts of a rolling body close again as the drift ends
     share = 1.0 if held else drift.slow
     wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
@@ -108,6 +106,8 @@ def _predict_with_solid(
     half = 0.5 * wait
     px, py, pz = x + wait * (wx + half * gx), y + wait * (wy + half * gy), z + wait * (wz + half * gz)
     s = when - kick
+    vx, vy, vz = vector(T.v, i)
+    ax, ay, az = vector(T.a, i)
     ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
     if walls_translate(surface):
         rx, ry, rz = displacement_in_drift(surface, solid, when)
