@@ -85,9 +85,8 @@ STEP_PARTS: dict[str, StepPart] = {
 
 def refusals_of(scene: Scene) -> list[str]:
     """Return what refuses scenes for the parts that a scene requires, without the parts that were removed."""
-    needs = require(scene)
-    rows = [part for part in STEP_PARTS.values() if part.refusals]
-    return [part.refusals for part in rows if part.is_required(scene, needs, False) and part.is_there]
+    parts = [STEP_PARTS[name] for name in required(scene, require(scene), recorded=False)]
+    return [part.refusals for part in parts if part.refusals and part.is_there]
 
 
 def required(scene: Scene, needs: Requirements, recorded: bool) -> list[str]:

@@ -130,7 +130,7 @@ def _energy_of(kind: ForceKind) -> Series:
     return Series(path, "J", kind.legend, LINES[kind.colour], plot, value, kind.meaning, kind.recorded_with)
 
 
-def _piston(state: Frame | Checkpoint, number: int = 0) -> FloatArray:
+def _piston(state: Frame | Checkpoint, number: int) -> FloatArray:
     """Return the row of a piston in `PistonMotion.state`, (3,)."""
     pistons = _contacts_of(state).pistons
     assert pistons is not None, "the scene has a piston"
@@ -143,7 +143,7 @@ def _contacts_of(state: Frame | Checkpoint) -> ContactCheckpoint:
     return memory
 
 
-def _force_on_piston(sample: Sample, number: int = 0) -> float:
+def _force_on_piston(sample: Sample, number: int) -> float:
     """Return the mean force (N) of the bodies on a piston since the previous frame."""
     frame, before = sample.frame, sample.before
     if before is None or frame.time <= before.time:
