@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from carom.engines.adapters.pybullet import pybullet
     from carom.engines.adapters.rebound import rebound
     from carom.engines.engine_recorder import Recorder
-    from carom.engines.law_audit import Fault, Tolerances
+    from carom.engines.faults import Fault, Tolerances
     from carom.engines.source import CONTACT, Model, Plane, Source, State, StateMemory
 
 __all__ = [
@@ -45,7 +45,7 @@ __all__ = [
 
 _HOMES = {
     "Recorder": "carom.engines.engine_recorder",
-    **dict.fromkeys(("Fault", "Tolerances"), "carom.engines.law_audit"),
+    **dict.fromkeys(("Fault", "Tolerances"), "carom.engines.faults"),
     **dict.fromkeys(("CONTACT", "Model", "Plane", "Source", "State", "StateMemory"), "carom.engines.source"),
 }
 

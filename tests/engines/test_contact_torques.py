@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from carom.engines.contact_torques import FEWEST, ContactTorque, ContactTorques, WrongTorque
+from carom.engines.contact_torques import FEWEST, ContactTorque, ContactTorques
+from carom.engines.faults import BrokenThen
 
 RNG = np.random.default_rng(5)
 COUNT = 3 * FEWEST
@@ -28,7 +29,7 @@ def torques(scale: np.ndarray, *, rolls: bool = False, turned: bool = False) -> 
     return found
 
 
-def named(found: ContactTorques) -> list[WrongTorque]:
+def named(found: ContactTorques) -> list[BrokenThen]:
     return list(found.concluded())
 
 
@@ -41,27 +42,27 @@ def test_torques_as_their_contacts_tell_break_no_law() -> None:
 def test_a_torque_that_differs_from_the_others_is_named(part: float) -> None:
     scale = np.ones(COUNT)
     scale[7] = part
-    (wrong,) = named(torques(scale))
-    assert (wrong.step, wrong.body) == (7, 1) and wrong.excess > 1.0
+    ((step, _, broken),) = named(torques(scale))
+    assert (step, broken.ends) == (7, (1,)) and broken.excess > 1.0
 
 
 def test_an_engine_with_another_inertia_is_named_from_its_first_contact_on() -> None:
     found = named(torques(np.full(COUNT, 0.8)))
-    assert [wrong.step for wrong in found] == list(range(COUNT)) and "as others do, by 0." in found[0].what
+    assert [step for step, *_ in found] == list(range(COUNT)) and "as others do, by 0." in found[0][2].what
 
 
 def test_spins_in_the_frame_of_the_body_are_named_once_they_differ() -> None:
     found = named(torques(np.ones(COUNT), turned=True))
-    assert found[0].step == 0 and "in the frame of the body" in found[0].what
+    assert found[0][0] == 0 and "in the frame of the body" in found[0][2].what
 
 
 def test_a_body_that_resists_rolling_in_all_its_contacts_is_not_accused() -> None:
     scale = np.where(np.arange(COUNT) % 6 == 2, 0.7, 1.0)  # all contacts of one body
     assert named(torques(scale, rolls=True)) == []
-    assert {wrong.body for wrong in named(torques(scale))} == {2}
+    assert {broken.ends for *_, broken in named(torques(scale))} == {(2,)}
     one = torques(scale, rolls=True)
     one.samples[2] = replace(one.samples[2], change=one.samples[2].ways[1])
-    assert {wrong.body for wrong in named(one)} == {2}  # its other contacts do not resist
+    assert {broken.ends for *_, broken in named(one)} == {(2,)}  # its other contacts do not resist
 
 
 def test_small_torques_are_not_compared() -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from carom.engines.single_contacts import Broken, ContactLaws
+from carom.engines.faults import Broken
+from carom.engines.rebounds import Rebounds
 from carom.engines.source import setup_of
 from faulty_engines import PLANTED, Toy, naming_law, recorded
 
@@ -51,7 +52,7 @@ def test_the_toy_without_a_fault_breaks_no_law(seed: int | range, tmp_path: Path
 )
 def test_an_engine_is_rigid_if_its_impacts_were_up_to_a_fault(counts: list[tuple[int, int, int]], named: bool) -> None:
     toy = Toy()
-    laws = ContactLaws(setup_of(toy.model, toy.state()), 0.1, 0.1)
+    laws = Rebounds(setup_of(toy.model, toy.state()), 0.1)
     laws.suspected = [(43, 0.1, Broken("restitution", 5.0, (1, 2), "rebound faster than they closed"))]
     laws._counts = counts  # steps, impacts that were over, and impacts that lasted
     assert [step for step, *_ in laws.concluded()] == [43] * named

@@ -15,6 +15,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.engines.engine_contacts import lengths
+from carom.engines.faults import SPIN, Broken, BrokenThen
 
 FEWEST = 8  # fewest torques that show an engine's habit
 RUBBED = 0.05  # smallest compared torque, divided by the impulse times its arm
@@ -43,17 +44,6 @@ class ContactTorque:
     rolls: bool  # whether a resistance to rolling could explain the difference
 
 
-@dataclass(frozen=True, slots=True)
-class WrongTorque:
-    """A torque that breaks the law."""
-
-    step: int
-    time: float  # s
-    body: int
-    excess: float  # violation over tolerance
-    what: str  # predicate of a sentence about the body
-
-
 @dataclass(slots=True)
 class ContactTorques:
     """The torques of a run."""
@@ -66,7 +56,7 @@ class ContactTorques:
         if size > max(RUBBED * largest, CLEAR * noise) and len(self.samples) < MOST_SAMPLES:
             self.samples.append(sample)
 
-    def concluded(self) -> Iterator[WrongTorque]:
+    def concluded(self) -> Iterator[BrokenThen]:
         """Yield the torques that break the law, judged by all torques of the run."""
         if len(self.samples) < FEWEST:
             return
@@ -94,7 +84,7 @@ class ContactTorques:
                 off, max(OFF, SPREADS * usual), "changes its spin differently from what its contacts give"
             )
 
-    def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[WrongTorque]:
+    def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[BrokenThen]:
         """Yield the torques whose deviations exceed the allowed one.
 
         If every torque on a body deviates, a torque that could be a resistance to rolling is taken to be one.
@@ -105,7 +95,7 @@ class ContactTorques:
             sample = self.samples[k]
             if sample.body in right or not sample.rolls:
                 by = f"; off by {off[k]:.0%} of their torque"
-                yield WrongTorque(sample.step, sample.time, sample.body, float(off[k]) / allowed, what + by)
+                yield sample.step, sample.time, Broken(SPIN, float(off[k]) / allowed, (sample.body,), what + by)
 
 
 def _usual_way(ways: FloatArray, seen: FloatArray) -> tuple[int, FloatArray]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from carom import registry
 from carom.arrays import FloatArray, IntArray
-from carom.engines.law_audit import Fault, Tolerances
+from carom.engines.faults import Fault, Tolerances
 from carom.engines.observer import Observer, not_finite
 from carom.engines.snapshot_writer import observed_recording, observed_totals
 from carom.engines.source import SPHERE, Model, Source, State, engine_package, setup_of

@@ -309,3 +309,15 @@ def rotated(orientation: FloatArray, vectors: FloatArray) -> FloatArray:
     axis, w = orientation[:, :3], orientation[:, 3:]
     twice = 2.0 * cross(axis, vectors)
     return np.asarray(vectors + w * twice + cross(axis, twice))
+
+
+def rotation_between(before: FloatArray, now: FloatArray) -> FloatArray:
+    """Return the rotation vectors (n, 3) in the world frame between two sets of quaternions (n, 4), xyzw."""
+    u, a = before[:, :3], before[:, 3]
+    v, b = now[:, :3], now[:, 3]
+    half = a[:, None] * v - b[:, None] * u - cross(v, u)
+    cosine = a * b + np.einsum("ij,ij->i", u, v)
+    sine = lengths(half)
+    angle = 2.0 * np.arctan2(sine, np.abs(cosine))
+    factor = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0) * np.where(cosine < 0.0, -1.0, 1.0)
+    return np.asarray(factor[:, None] * half)

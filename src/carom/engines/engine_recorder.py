@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 
 from carom.arrays import IntArray
-from carom.engines.law_audit import Fault, Tolerances
+from carom.engines.faults import Fault, Tolerances
 from carom.engines.observer import Observer, header_of_source, not_finite
 from carom.engines.population import Population, ids_of
 from carom.engines.snapshot_writer import SnapshotWriter, Unrecorded, sentence_of
@@ -29,8 +29,7 @@ from carom.engines.source import (
     State,
     StateMemory,
     SteppedSource,
-    array_of,
-    refuse_no_rotation,
+    refuse_wrong_arrays,
     setup_of,
     text_from,
     time_of,
@@ -270,9 +269,8 @@ class Recorder:
             self._model = replace(self._model, **given, names=state.names, inertia=None)
             self._begin_with(state)
             if call:
-                text = (
-                    f"{self._model.engine}: there is no body before t = {self._units.text(time_of(state), TIME, 'g')}."
-                )
+                begins = self._units.text(time_of(state), TIME, "g")
+                text = f"{self._model.engine}: there is no body before t = {begins}."
                 self._unrecorded.add(call, time_of(state), text, "The recording begins there.")
         setup = self._setup
         assert setup is not None, "it was set above"
@@ -283,10 +281,8 @@ class Recorder:
             raise RecordingError(f"{setup.engine}: the time is {state.time}, which is not finite")
         if state.time < self._time:
             before, now = self._units.shown(self._time, TIME), self._units.text(state.time, TIME, "g")
-            text = (
-                f"{setup.engine}: the time decreased from {before:g} to {now}: the engine was reset, or reset itself."
-            )
-            self._end(call, text, ())
+            reset = "the engine was reset, or reset itself"
+            self._end(call, f"{setup.engine}: the time decreased from {before:g} to {now}: {reset}.", ())
             return False
         if state.time == self._time:
             stands = self._units.text(state.time, TIME, "g")
@@ -337,16 +333,9 @@ class Recorder:
                 f"`state` of {type(self._source).__name__} returned {type(first).__name__}; return a carom.record.State"
             )
         setup = setup_of(self._model, first)
-        array_of(setup.engine, "time", time_of(first), ())
-        n = len(setup)
-        array_of(setup.engine, "velocity", first.velocity, (n, 3))
-        for name, width in (("orientation", 4), ("angular_velocity", 3), ("force", 3), ("torque", 3)):
-            if getattr(first, name) is not None:
-                array_of(setup.engine, name, getattr(first, name), (n, width))
-        if first.orientation is not None:
-            refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
+        refuse_wrong_arrays(setup, first)
         self._setup = setup
-        self._ids = None if first.ids is None else ids_of(setup.engine, first.ids, n)
+        self._ids = None if first.ids is None else ids_of(setup.engine, first.ids, len(setup))
         points = np.flatnonzero(~setup.touches & ~setup.fixed)
         if setup.collides and len(points):
             text = f"{setup.engine}: {Names(setup.names, []).of(int(points[0]))} has the radius 0."

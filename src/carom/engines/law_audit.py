@@ -14,68 +14,26 @@ cluster.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.engines.clusters import Clusters, clusters_of
 from carom.engines.elastic_energy import TINY, ElasticEnergy, reduced_masses
-from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
+from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths, rotation_between
+from carom.engines.faults import Broken, Fault, Tolerances
 from carom.engines.known_forces import KnownForces
 from carom.engines.missed_impacts import TUNNELLED, MissedImpacts, Unresolved
 from carom.engines.reported_contacts import judge_reported
-from carom.engines.single_contacts import Broken, ContactLaws
+from carom.engines.single_contacts import ContactLaws
 from carom.engines.source import Setup
 from carom.engines.strikes import Strikes
-from carom.errors import RecordingError
-from carom.event import Event
 from carom.recording.schema.header import LARGEST
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called
 from carom.state.energies import Energy
-
-
-@dataclass(frozen=True, slots=True)
-class Tolerances:
-    """Largest errors that do not violate a law."""
-
-    energy: float = 1e-3  # change of a cluster's energy between two frames, relative
-    drift: float = 1e-2  # change of the total energy since the start, over the energy scale
-    momentum: float = 1e-3  # change of a cluster's momentum, over its Σ m |v|
-    angular_momentum: float = 1e-3  # change of a cluster's angular momentum, over its Σ (m |x| |v| + I |ω|)
-    overlap: float = np.inf  # overlap over the smaller radius; unlimited by default, since an overlap breaks no law
-    restitution: float = 0.02  # error of a coefficient of restitution
-    friction: float = 0.2  # part of the work of friction that may have the wrong sign
-
-    def __post_init__(self) -> None:
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if not value >= 0.0:  # NaN would accept everything
-                raise RecordingError(f"the tolerance {each.name} is {value}; it must be 0 or more")
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A violated law.
-
-    The law is "energy", "momentum", "angular-momentum", "overlap", "missed-impact", "friction", "restitution", "pull",
-    "spin" or "not-finite".
-    """
-
-    law: str
-    step: int
-    time: float  # s
-    amount: float  # error in units of the law's scale
-    text: str  # a sentence
-    bodies: tuple[int, ...] = ()  # numbers from n on are planes
-    excess: float = 1.0  # violation over tolerance
-
-    @property
-    def event(self) -> Event:
-        """The fault as a line of the log."""
-        return Event(self.step, self.time, "WARN", self.text, f"law-{self.law}")
 
 
 @dataclass(slots=True)
@@ -417,18 +375,6 @@ class LawAudit:
         met &= near.gap_before <= closing * dt  # otherwise another body reversed their velocity
         met &= known & (closing > still)
         self._impacts(near, self._strikes.see(near, self._ends, met, (closing, after), normal), found)
-        yield from self._single_contacts(place, before, now, near, closing, still)
-
-    def _single_contacts(
-        self,
-        place: tuple[int, float],
-        before: EngineMoment,
-        now: EngineMoment,
-        near: Near,
-        closing: FloatArray,
-        still: float,
-    ) -> Iterator[Fault]:
-        """Report the worst contact of each law of single contacts."""
         yield from self._worst_of_each(place, self._laws.see(place[0], before, now, near, closing, still))
 
     def _reported(
@@ -468,7 +414,6 @@ class LawAudit:
             self.note(self._missed_impact(late))
         for step, time, broken in sorted(self._laws.concluded(), key=lambda found: found[0]):
             self.note(self._fault((step, time), broken))
-        self._laws.impacts = []
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
         """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
@@ -491,15 +436,3 @@ class LawAudit:
 def still_speed(setup: Setup, typical: float, dt: float) -> float:
     """Return the speed (m/s) up to which contacts may rest in a frame of dt s, given a typical speed in m/s."""
     return STILL * typical + 2.0 * setup.field_strength * dt
-
-
-def rotation_between(before: FloatArray, now: FloatArray) -> FloatArray:
-    """Return the rotation vectors (n, 3) in the world frame between two sets of quaternions (n, 4), xyzw."""
-    u, a = before[:, :3], before[:, 3]
-    v, b = now[:, :3], now[:, 3]
-    half = a[:, None] * v - b[:, None] * u - cross(v, u)
-    cosine = a * b + np.einsum("ij,ij->i", u, v)
-    sine = lengths(half)
-    angle = 2.0 * np.arctan2(sine, np.abs(cosine))
-    factor = np.where(sine > 0.0, angle / np.where(sine > 0.0, sine, 1.0), 2.0) * np.where(cosine < 0.0, -1.0, 1.0)
-    return np.asarray(factor[:, None] * half)

@@ -23,7 +23,8 @@ from carom.engines.engine_contacts import TOUCH, EngineMoment, Near, Proximity
 from carom.engines.known_forces import KnownForces
 from carom.engines.law_audit import still_speed
 from carom.engines.missed_impacts import TUNNELLED
-from carom.engines.single_contacts import FEWEST, WAYS, ContactTree, Measurement, trees_of
+from carom.engines.rebounds import FEWEST
+from carom.engines.single_contacts import WAYS, ContactTree, Measurement, trees_of
 from carom.engines.source import Setup
 from carom.errors import RecordingError
 from carom.recording.read.lookup import interval, tolerance

@@ -16,7 +16,8 @@ from carom.engines.engine_contacts import (
     rows_of_graph,
     whole_numbers,
 )
-from carom.engines.law_audit import AuditFinding, Fault, LawAudit, Tolerances
+from carom.engines.faults import Fault, Tolerances
+from carom.engines.law_audit import AuditFinding, LawAudit
 from carom.engines.population import Present
 from carom.engines.source import Setup, State, has_forces
 from carom.errors import RecordingError

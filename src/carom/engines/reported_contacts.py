@@ -9,7 +9,8 @@ import numpy as np
 from carom.arrays import FloatArray, Records
 from carom.engines.elastic_energy import TINY
 from carom.engines.engine_contacts import EngineMoment, cross, lengths
-from carom.engines.single_contacts import FRICTION, IMPULSIVE, PULL, RUBBED, Broken
+from carom.engines.faults import FRICTION, PULL, Broken
+from carom.engines.single_contacts import IMPULSIVE, RUBBED
 from carom.engines.source import Setup
 
 

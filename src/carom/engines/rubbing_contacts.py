@@ -16,6 +16,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.engines.contact_torques import MOSTLY, SPREADS
 from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
+from carom.engines.faults import FRICTION, Broken, BrokenThen
 from carom.engines.source import Setup
 
 FEWEST = 20  # fewest contacts that slide
@@ -39,17 +40,6 @@ class RubbedFrame:
     most: FloatArray
     slides: BoolArray
     strikes: BoolArray  # whether the bodies closed fast
-
-
-@dataclass(frozen=True, slots=True)
-class WrongFriction:
-    """A contact whose friction breaks the law."""
-
-    step: int
-    time: float  # s
-    ends: tuple[int, int]
-    excess: float  # violation over tolerance
-    what: str  # predicate of a sentence about the ends
 
 
 @dataclass(slots=True)
@@ -99,7 +89,7 @@ class RubbingContacts:
             RubbedFrame(*place, np.stack([i, j], axis=1)[pressed], least, most, slides[pressed], strikes)
         )
 
-    def concluded(self, bodies: int) -> Iterator[WrongFriction]:
+    def concluded(self, bodies: int) -> Iterator[BrokenThen]:
         """Yield the contacts whose friction differs from μ."""
         if not self.frames:
             return
@@ -120,7 +110,7 @@ class RubbingContacts:
                 ratio = float(least[row] if least[row] > usual else most[row])
                 what = f"rub with {ratio:.3g} of their normal impulse; others that slide have {usual:.3g}"
                 named = int(ends[row, 0]), int(ends[row, 1])
-                yield WrongFriction(frame.step, frame.time, named, excess, what)
+                yield frame.step, frame.time, Broken(FRICTION, excess, named, what)
 
 
 def _comparable(ends: IntArray, pair: IntArray, slides: BoolArray, bodies: int) -> Iterator[IntArray]:

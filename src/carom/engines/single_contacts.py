@@ -5,12 +5,11 @@ contact follows from the momenta: a leaf of the tree has one unknown impulse. Th
 in any order, with the positions of either frame, and the field may have acted before or after the contacts. A law is
 reported as broken only if every possible order and normal breaks it.
 
-At the end of the run, restitution coefficients are also compared between all impacts of the same materials.
+At the end of the run, rebounds, torques and friction are also compared between all contacts of the run.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -18,10 +17,12 @@ from itertools import combinations
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.engines.contact_torques import MOSTLY, SPREADS, ContactTorque, ContactTorques
+from carom.engines.contact_torques import ContactTorque, ContactTorques
 from carom.engines.elastic_energy import PARTED
 from carom.engines.engine_contacts import MARGIN, EngineMoment, Near, cross, lengths, rotated
+from carom.engines.faults import FRICTION, PULL, RESTITUTION, SPIN, Broken, BrokenThen
 from carom.engines.missed_impacts import SHALLOW
+from carom.engines.rebounds import IsolatedImpact, Rebounds
 from carom.engines.rubbing_contacts import RubbingContacts
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
@@ -31,48 +32,8 @@ IMPULSIVE = 0.02  # relative error of a contact's impulse; engines that correct 
 DAMPED = 2e-3  # fraction of m |v| that an engine's damping may take in a frame: PyBullet takes 0.07 %
 RUBBED = 0.02  # smallest friction that is judged, beyond the turn of the normal, over the contact's impulse
 SPUN = 0.1  # error of a torque, over r |J_t|
-ALIKE = 9  # impacts at neighbouring speeds that give the expected coefficient of restitution
 WAYS = 6  # variants for an isolated contact: three normals, and the field before or after it
-FEWEST = 3  # fewest impacts between the same materials
-SLOWER = 0.75  # fraction of an impact's speed; engines stop rebounds below a speed that states show only roughly
 KEPT = 0.25  # fraction of J_n times the gain of speed; friction may dissipate as much as the contact keeps
-# Smallest deviation of a coefficient of restitution. The coefficients of soft contacts vary by 0.07 with the phase.
-OFF = 0.1
-OVER = 0.05  # change of velocity in the next frame, over the impact's speed, that shows a lasting contact
-RIGID, RARELY = 10, 0.1  # fewest impacts of an engine with rigid contacts, and fraction that may outlast a frame
-MOST_SAMPLES = 100_000  # impacts kept for comparison
-FRICTION, RESTITUTION, PULL, SPIN = "friction", "restitution", "pull", "spin"
-
-
-@dataclass(frozen=True, slots=True)
-class Broken:
-    """A law that a contact broke, not yet reported."""
-
-    law: str
-    excess: float  # violation over tolerance
-    ends: tuple[int, ...]
-    what: str  # predicate of a sentence about the ends
-
-
-@dataclass(frozen=True, slots=True)
-class IsolatedImpact:
-    """An impact of two ends that touched nothing else, from the frame before it to the frame after it."""
-
-    step: int
-    time: float  # s
-    ends: tuple[int, int]
-    speed: float  # m/s, closing
-    restitution: float
-    uncertainty: float  # of the coefficient
-
-    def differs(self, usual: float) -> float:
-        """Return the difference of the coefficient from another one, beyond its uncertainty."""
-        return abs(self.restitution - usual) - self.uncertainty
-
-    def unlike(self, usual: float, allowed: float, source: str) -> Broken:
-        """Return the broken law: another coefficient of restitution is expected."""
-        what = f"rebound with a coefficient of restitution of {self.restitution:.3g}; {source} {usual:.3g}"
-        return Broken(RESTITUTION, self.differs(usual) / allowed, self.ends, what)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,20 +60,16 @@ class ContactLaws:
         self.restitution = restitution  # error of a coefficient of restitution
         self.coefficient = setup.friction
         self.friction = friction  # work of the wrong sign that friction may do, divided by |J_t| times the slip
-        self._pending: list[IsolatedImpact] = []  # impacts of the last frame; a soft contact continues in the next one
-        self.impacts: list[IsolatedImpact] = []
+        self.rebounds = Rebounds(setup, restitution)
         self.torques = ContactTorques()
         self.slides = RubbingContacts()
-        self._lasting = 0  # number of impacts that continued in the next frame
-        self._counts: list[tuple[int, int, int]] = []  # step, impacts that had ended by then, and impacts that lasted
-        self.suspected: list[tuple[int, float, Broken]] = []  # steps, times, and laws broken if contacts are not soft
 
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, closing: FloatArray, still: float
     ) -> list[Broken]:
         """Judge the contacts between two moments, given earlier closing speeds and the speed of slow contacts, m/s."""
         dt = now.time - before.time
-        self._settle(step, before, now, dt)
+        self.rebounds.settle(step, before, now, dt)
         if self._setup.constant or not dt > 0.0 or not self._setup.touches.any():
             return []
         fall, after = self._setup.field_strength * dt, near.closing_now
@@ -127,85 +84,16 @@ class ContactLaws:
                 )
         return found
 
-    def note(self, impact: IsolatedImpact) -> Iterator[Broken]:
-        """Compare an isolated impact with the model, once the next frame has shown that the impact was over."""
-        self._pending.append(impact)
-        known = self._setup.restitution
-        if known is not None and impact.differs(known) > self.restitution:
-            yield impact.unlike(known, self.restitution, "the model says")
-
-    def concluded(self) -> Iterator[tuple[int, float, Broken]]:
-        """Yield the steps and times of broken laws, judged by all impacts of the run."""
-        for step, time, broken in self.suspected:
-            if self._is_rigid(step):  # overlaps in this engine store no energy
-                yield step, time, broken
-        self.suspected = []
-        for impact, broken in self._outliers():
-            yield impact.step, impact.time, broken
-        for wrong in self.torques.concluded():
-            yield wrong.step, wrong.time, Broken(SPIN, wrong.excess, (wrong.body,), wrong.what)
-        for rubbing in self.slides.concluded(len(self._setup)):
-            yield rubbing.step, rubbing.time, Broken(FRICTION, rubbing.excess, rubbing.ends, rubbing.what)
-
-    def _is_rigid(self, step: int) -> bool:
-        """Return whether impacts last at most one frame, judged by the impacts up to a step or until there were enough.
-
-        Later impacts do not count: a fault may let a pile sink, whose contacts then last in any engine.
-        """
-        later = self._counts[bisect_left(self._counts, (step, 0, 0)) :] or self._counts[-1:]
-        over, lasting = next(((over, lasting) for _, over, lasting in later if over >= RIGID), (0, 0))
-        return over >= RIGID and lasting <= RARELY * (over + lasting)
-
-    def _outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
-        """Yield the impacts whose coefficient of restitution differs from impacts of the same materials and speed.
-
-        A faulty coefficient differs from those of the next slower and the next faster impacts, since coefficients may
-        depend on the speed.
-        """
-        groups: dict[int, list[IsolatedImpact]] = {}
-        for impact in self.impacts:
-            groups.setdefault(max(impact.ends[1] - len(self._setup), -1), []).append(impact)  # each plane, or bodies
-        compared: list[tuple[IsolatedImpact, list[float]]] = []  # with the usual coefficients
-        for group in groups.values():
-            group.sort(key=lambda impact: impact.speed)
-            e = np.array([impact.restitution for impact in group])
-            for k, impact in enumerate(group):
-                slower, faster = e[max(k - ALIKE, 0) : k], e[k + 1 : k + 1 + ALIKE]
-                slowest = sum(other.speed < SLOWER * impact.speed for other in group[:k])
-                if impact.restitution < float(np.median(e)) and slowest < FEWEST:
-                    continue
-                sides = [float(np.median(side)) for side in (slower, faster) if len(side) >= FEWEST]
-                if sides:
-                    compared.append((impact, [*sides, float(np.median(e))]))
-        if not compared:
-            return
-        off = [min(abs(impact.restitution - usual) for usual in usuals) for impact, usuals in compared]
-        allowed = max(OFF, SPREADS * float(np.quantile(off, MOSTLY)))
-        for impact, usuals in compared:
-            usual = min(usuals, key=impact.differs)
-            if impact.differs(usual) > allowed:
-                yield impact, impact.unlike(usual, allowed, "others of this speed have")
+    def concluded(self) -> Iterator[BrokenThen]:
+        """Yield the broken laws, judged by all contacts of the run."""
+        yield from self.rebounds.concluded()
+        yield from self.torques.concluded()
+        yield from self.slides.concluded(len(self._setup))
 
     def go_on(self, earlier: ContactLaws) -> None:
         """Drop the unfinished impacts of an earlier set of bodies, which have other numbers."""
         if len(earlier._setup) == len(self._setup):
-            self.impacts, self.torques, self.slides = earlier.impacts, earlier.torques, earlier.slides
-
-    def _settle(self, step: int, before: EngineMoment, now: EngineMoment, dt: float) -> None:
-        """Keep the impacts of the previous frame that were over by then."""
-        n, field = len(self._setup), self._setup.gravity * dt
-        for impact in self._pending:
-            bodies = [end for end in impact.ends if end < n and not self._setup.fixed[end]]
-            mass = self._setup.mass[bodies]
-            # a contact of both bodies has changed neither body more than another contact
-            impulse = float((mass * lengths(now.velocity[bodies] - before.velocity[bodies] - field)).min())
-            if impulse * float((1.0 / mass).sum()) > OVER * impact.speed:
-                self._lasting += 1
-            elif len(self.impacts) < MOST_SAMPLES:
-                self.impacts.append(impact)
-        if self._pending:
-            self._counts.append((step, len(self.impacts), self._lasting))
-        self._pending = []
+            self.rebounds.impacts, self.torques, self.slides = earlier.rebounds.impacts, earlier.torques, earlier.slides
 
 
 def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterator[IntArray]:
@@ -305,7 +193,7 @@ class ContactTree:
         found = [broken for k in range(len(self._rows)) for broken in self._contact(k, laws, slow)]
         for k in range(len(self._rows)) if not found else ():
             if (impact := self._impact(k, step, time, slow)) is not None:
-                found += laws.note(impact)
+                found += laws.rebounds.note(impact)
         return [*found, *self._torques(laws)]
 
     def _states(self, k: int, normal: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -418,7 +306,7 @@ class ContactTree:
             how = "rebound faster than they closed" if closing > 0.0 else "are pushed apart while they part"
             broken = Broken(RESTITUTION, min(gains) / allowed, pair, how)
             if touched:
-                laws.suspected.append((*self._place_in_time, broken))
+                laws.rebounds.suspected.append((*self._place_in_time, broken))
             else:
                 yield broken
 

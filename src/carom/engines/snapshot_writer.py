@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carom.engines.law_audit import Fault
+from carom.engines.faults import Fault
 from carom.engines.observer import Observer, header_of_source
 from carom.engines.population import Population, Present, spread, without_bodies
 from carom.engines.source import State, StateMemory

@@ -228,13 +228,20 @@ def time_of(state: State) -> float:
         raise RecordingError(f"the time of the state is {state.time!r}; it must be a number") from None
 
 
-def refuse_no_rotation(engine: str, orientation: FloatArray) -> None:
-    """Refuse quaternions whose length is not 1, up to rounding in single precision."""
-    length = np.linalg.norm(orientation, axis=1)
-    wrong = np.flatnonzero(np.abs(length - 1.0) > ROUGHLY)
-    if len(wrong):
-        wrong_one = f"orientation[{wrong[0]}] has the length {length[wrong[0]]:g}"
-        raise RecordingError(f"{engine}: {wrong_one}; it must be a quaternion of length 1, xyzw")
+def refuse_wrong_arrays(setup: Setup, first: State) -> None:
+    """Refuse arrays of wrong shapes, and quaternions whose length is not 1, up to rounding in single precision."""
+    engine, n = setup.engine, len(setup)
+    array_of(engine, "time", time_of(first), ())
+    array_of(engine, "velocity", first.velocity, (n, 3))
+    for name, width in (("orientation", 4), ("angular_velocity", 3), ("force", 3), ("torque", 3)):
+        if getattr(first, name) is not None:
+            array_of(engine, name, getattr(first, name), (n, width))
+    if first.orientation is not None:
+        length = np.linalg.norm(np.asarray(first.orientation, dtype=np.float64), axis=1)
+        wrong = np.flatnonzero(np.abs(length - 1.0) > ROUGHLY)
+        if len(wrong):
+            wrong_one = f"orientation[{wrong[0]}] has the length {length[wrong[0]]:g}"
+            raise RecordingError(f"{engine}: {wrong_one}; it must be a quaternion of length 1, xyzw")
 
 
 def text_from(value: Any) -> str:
