@@ -15,13 +15,13 @@ from carom.plan.interactions import dampings, differing, pushing
 from carom.plan.room import refuse_small_memory
 from carom.plan.step_parts import STEP_PARTS, required
 from carom.scene.contact_laws import law_called
+from carom.scene.explanation import naming_places
 from carom.scene.forces import DRAG
 from carom.scene.installed_forces import BodyForce, PairForce, force_called
 from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.load import Scene
 from carom.scene.pistons import pistons_of
 from carom.scene.scene_file import KeyPath
-from carom.scene.scene_model import naming_places
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted

@@ -34,9 +34,9 @@ from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.runs.outlook import estimate_steps, flight_seconds, frames_to_keep, slow_text
 from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_text
 from carom.runs.stopwatch import TrialClock
+from carom.scene.explanation import naming_places
 from carom.scene.forces import FORCES
 from carom.scene.load import Scene
-from carom.scene.scene_model import naming_places
 from carom.state.frame import Frame
 
 TRIAL_SECONDS = 0.1

@@ -8,12 +8,14 @@ import sys
 import types
 import typing
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from carom import registry
+from carom.errors import SceneError
 from carom.scene.conversion import Wrong, members_of_list, parts_of, place_of
 from carom.scene.scene_file import KeyPath, KeyPlaces
 from carom.scene.scene_model import SceneModel
@@ -265,3 +267,14 @@ def _expected(path: KeyPath, units: UnitSystem) -> str:
     # the list itself, if the path ends with an index
     name = next(key for key in reversed(path) if isinstance(key, str))
     return f" ({name}: {text})"
+
+
+@contextmanager
+def naming_places(scene: SceneModel) -> Iterator[None]:
+    """Prefix the message of a `SceneError` with the place of its key, if the scene was read from a text."""
+    try:
+        yield
+    except SceneError as error:
+        if scene.places is None or not error.key:
+            raise
+        raise SceneError(f"{scene.places.of(error.key)}{error}") from None

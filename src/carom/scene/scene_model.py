@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from typing import Any, Self, cast
 
@@ -11,7 +10,6 @@ from pydantic import Field, PrivateAttr, model_validator
 from pydantic.fields import FieldInfo
 
 from carom import registry
-from carom.errors import SceneError
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.body_sources import HeldBodies
 from carom.scene.integrators import AUTO
@@ -246,26 +244,16 @@ class SceneModel(Forces, Heading):
 
     @model_validator(mode="after")
     def _walls_and_moving_planes_are_supported(self) -> Self:
-        unsupported = {
-            "time.accuracy": self.time.accuracy is not None,
-            "a [drag]": self.drag is not None,
-            "contact.sleep": self.contact.sleep is not None,
-            'a group with arrangement = "compressed"': any(g.arrangement == "compressed" for g in self.group),
-            "contact.enabled = false": not self.contact.enabled,
-        }
-        for what, given in unsupported.items():
+        moving = next((k for k, plane in enumerate(self.plane) if plane.translates), None)
+        for what, remedy in _unsupported(self, WITHOUT_WALLS):
             if what == "time.accuracy":
-                if given and any(wall.moves for wall in self.wall):
-                    raise ValueError(
-                        f"a wall.motion with {what}, which only supports walls at rest; remove one of them"
-                    )
-            elif self.wall and given:
-                raise ValueError(f"a [[wall]] with {what}, which does not support walls yet; remove one of them")
-            moving = next((k for k, plane in enumerate(self.plane) if plane.translates), None)
-            if moving is not None and given and what != "contact.enabled = false":
+                if any(wall.moves for wall in self.wall):
+                    raise ValueError(f"a wall.motion with {what}, which only supports walls at rest; {remedy}")
+            elif self.wall:
+                raise ValueError(f"a [[wall]] with {what}, which does not support walls yet; {remedy}")
+            if moving is not None and what != "contact.enabled = false":
                 raise SectionError(
-                    ("plane", moving, "motion"),
-                    f"with {what}, which does not support moving planes yet; remove one of them",
+                    ("plane", moving, "motion"), f"with {what}, which does not support moving planes yet; {remedy}"
                 )
         return self
 
@@ -338,102 +326,89 @@ def check_materials(scene: SceneModel) -> None:
         check_name(("domain", "material"), scene.domain.material)
 
 
+# For each optional part of the model, the settings that it does not support, and their remedies; "" is REMOVE_ONE.
+REMOVE_ONE = "remove one of them"
+WITHOUT_SHEAR = {
+    "gravity": "bodies would fall through the box without end; set it to [0, 0, 0]",
+    "drag": "its medium would move past the images of the box; remove it",
+    "forces": "forces do not know that images move; remove it",
+    "fixed": "its images would move; set fixed = false",
+    "accuracy": "errors are not compared where images move; remove it",
+    "integrator": 'bodies are wrapped once a step; set "leapfrog"',
+    "sleep": "nothing is at rest in a flow; remove it",
+    "overlap": 'impacts at their own times push nothing apart; set it to false, or timing to "end-of-step"',
+    "model": "the shear determines which parts are needed; remove it",
+}
+WITHOUT_PISTON = {
+    **{"enabled": "", "solver": 'set "lasting"', "sleep": "", "drag": "", "accuracy": ""},
+    "integrator": 'set "leapfrog"',
+    "compressed": 'use another arrangement, such as "random"',
+}
+WITHOUT_RELEASE = {
+    "attraction": "set gravity.constant = 0",
+    **{"enabled": "", "solver": 'set "lasting"', "sleep": "", "shear": "", "drag": "", "forces": "", "accuracy": ""},
+    "integrator": 'set "leapfrog"',
+    "closed": "leave one axis open",
+}
+WITHOUT_WALLS = dict.fromkeys(("accuracy", "drag", "sleep", "compressed", "enabled"), "")
+
+
+def _unsupported(scene: SceneModel, remedies: dict[str, str]) -> Iterator[tuple[str, str]]:
+    """Yield those settings of a scene that a part of the model does not support, each with its remedy."""
+    time, contact, gravity = scene.time, scene.contact, scene.gravity
+    settings = {
+        "accuracy": ("time.accuracy", time.accuracy is not None),
+        "attraction": ("gravity between the bodies", gravity.constant > 0.0 and gravity.method != "none"),
+        "closed": ("a box that is periodic along x, y and z", len(scene.domain.repeating) == len("xyz")),
+        "compressed": (
+            'a group with arrangement = "compressed"',
+            any(group.arrangement == "compressed" for group in scene.group),
+        ),
+        "drag": ("a [drag]", scene.drag is not None),
+        "enabled": ("contact.enabled = false", not contact.enabled),
+        "fixed": ("a fixed body", scene.has_fixed_bodies),
+        "forces": ("a [forces]", bool(scene.forces.given)),
+        "gravity": ("gravity.uniform", any(gravity.uniform)),
+        "integrator": (f'time.integrator = "{time.integrator}"', time.integrator not in (AUTO, "leapfrog")),
+        "model": ("model.force", bool(scene.model.force)),
+        "overlap": ("contact.allow_overlap", contact.allow_overlap and contact.timing != "end-of-step"),
+        "shear": ("domain.shear", scene.domain.shear is not None),
+        "sleep": ("contact.sleep", contact.sleep is not None),
+        "solver": (f'contact.solver = "{contact.solver}"', contact.solver != "lasting"),
+    }
+    for key, remedy in remedies.items():
+        what, given = settings[key]
+        if given:
+            yield what, remedy or REMOVE_ONE
+
+
 def refuse_what_is_not_sheared(scene: SceneModel) -> None:
     """Refuse a sheared box with parts of the model that need forces, or the velocity of something at rest.
 
     Nothing can be fixed in a sheared box, since its images would move. A body that overlaps another one may be pushed
     away only where contacts last.
     """
-    if scene.domain.shear is None:
-        return
-    time, contact = scene.time, scene.contact
-    refused = {
-        "gravity.uniform": (
-            "bodies would fall through the box without end",
-            "set it to [0, 0, 0]",
-            any(scene.gravity.uniform),
-        ),
-        "a [drag]": ("its medium would move past the images of the box", "remove it", scene.drag is not None),
-        "a [forces]": ("forces do not know that images move", "remove it", bool(scene.forces.given)),
-        "a fixed body": ("its images would move", "set fixed = false", scene.has_fixed_bodies),
-        "time.accuracy": ("errors are not compared where images move", "remove it", time.accuracy is not None),
-        f'time.integrator = "{time.integrator}"': (
-            "bodies are wrapped once a step",
-            'set "leapfrog"',
-            time.integrator not in (AUTO, "leapfrog"),
-        ),
-        "contact.sleep": ("nothing is at rest in a flow", "remove it", contact.sleep is not None),
-        "contact.allow_overlap": (
-            "impacts at their own times push nothing apart",
-            'set it to false, or timing to "end-of-step"',
-            contact.allow_overlap and contact.timing != "end-of-step",
-        ),
-        "model.force": ("the shear determines which parts are needed", "remove it", bool(scene.model.force)),
-    }
-    for what, (why, remedy, given) in refused.items():
-        if given:
-            raise ValueError(f"domain.shear with {what}, which it does not support: {why}; {remedy}")
+    if scene.domain.shear is not None:
+        for what, why in _unsupported(scene, WITHOUT_SHEAR):
+            raise ValueError(f"domain.shear with {what}, which it does not support: {why}")
 
 
 def refuse_what_has_no_piston(scene: SceneModel) -> None:
     """Refuse pistons that are combined with parts that support only planes at rest, and pressures without a face."""
-    time, contact = scene.time, scene.contact
-    remedies = {
-        "contact.enabled = false": ("remove one of them", not contact.enabled),
-        f'contact.solver = "{contact.solver}"': ('set "lasting"', contact.solver != "lasting"),
-        "contact.sleep": ("remove one of them", contact.sleep is not None),
-        "a [drag]": ("remove one of them", scene.drag is not None),
-        "time.accuracy": ("remove one of them", time.accuracy is not None),
-        f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
-        'a group with arrangement = "compressed"': (
-            'use another arrangement, such as "random"',
-            any(group.arrangement == "compressed" for group in scene.group),
-        ),
-    }
     for number, piston in pistons_of(scene).items():
-        for what, (remedy, given) in remedies.items():
-            if given:
-                raise SectionError(
-                    ("plane", number, "piston"), f"with {what}, which does not support a piston; {remedy}"
-                )
+        for what, remedy in _unsupported(scene, WITHOUT_PISTON):
+            raise SectionError(("plane", number, "piston"), f"with {what}, which does not support a piston; {remedy}")
         if piston.pressure is not None:
             sides_of_face(scene, number)
 
 
 def refuse_what_admits_no_bodies(scene: SceneModel) -> None:
     """Refuse bodies that enter or leave with parts of the model that need the same bodies from start to end."""
-    if not scene.admits:
-        return
-    released = [("group", index, "release") for index, group in enumerate(scene.group) if group.release is not None]
-    key: KeyPath = released[0] if released else ("outlet", 0)
-    time, contact = scene.time, scene.contact
-    attracts = scene.gravity.constant > 0.0 and scene.gravity.method != "none"
-    remedies = {
-        "gravity between the bodies": ("set gravity.constant = 0", attracts),
-        "contact.enabled = false": ("remove one of them", not contact.enabled),
-        f'contact.solver = "{contact.solver}"': ('set "lasting"', contact.solver != "lasting"),
-        "contact.sleep": ("remove one of them", contact.sleep is not None),
-        "domain.shear": ("remove one of them", scene.domain.shear is not None),
-        "a [drag]": ("remove one of them", scene.drag is not None),
-        "a [forces]": ("remove one of them", bool(scene.forces.given)),
-        "time.accuracy": ("remove one of them", time.accuracy is not None),
-        f'time.integrator = "{time.integrator}"': ('set "leapfrog"', time.integrator not in (AUTO, "leapfrog")),
-        "a box that is periodic along x, y and z": ("leave one axis open", len(scene.domain.repeating) == len("xyz")),
-    }
-    for what, (remedy, given) in remedies.items():
-        if given:
+    if scene.admits:
+        released = [("group", index, "release") for index, group in enumerate(scene.group) if group.release is not None]
+        key: KeyPath = released[0] if released else ("outlet", 0)
+        for what, remedy in _unsupported(scene, WITHOUT_RELEASE):
             raise SectionError(key, f"with {what}, which does not support it; {remedy}")
-
-
-@contextmanager
-def naming_places(scene: SceneModel) -> Iterator[None]:
-    """Prefix the message of a `SceneError` with the place of its key, if the scene was read from a text."""
-    try:
-        yield
-    except SceneError as error:
-        if scene.places is None or not error.key:
-            raise
-        raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
 @cache

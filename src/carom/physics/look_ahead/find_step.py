@@ -53,9 +53,9 @@ from carom.plan import interactions
 from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
+from carom.scene.explanation import naming_places
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.load import Scene
-from carom.scene.scene_model import naming_places
 from carom.scene.schema import Promise
 from carom.scene.start import InitialBodies
 

@@ -27,10 +27,10 @@ from carom.physics.placement.wall_clearance import refuse_crossing_walls
 from carom.plan.room import refuse_small_memory
 from carom.plan.step_parts import refusals_of
 from carom.registry import imported
+from carom.scene.explanation import naming_places
 from carom.scene.load import Scene
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.scene_file import KeyPath
-from carom.scene.scene_model import naming_places
 from carom.scene.schema import Body, BodyGroup, Region
 from carom.scene.start import HalfSpaces, InitialBodies, join
 from carom.scene.units.dimension import LENGTH

@@ -150,7 +150,7 @@ def header_of_recording(recording: RecordedData) -> Header:
         shortest_dt_hint=0.0,
         units=recording.units,
         entries=recording.entries,
-        pistons=pistons_of(info),
+        pistons=recorded_pistons(info),
         outlets=outlets_of(info),
         drives=drives,
         motions=motions_of(scene) if scene and drives else {},
@@ -163,7 +163,7 @@ def header_of_recording(recording: RecordedData) -> Header:
     )
 
 
-def pistons_of(properties: Mapping[str, Any]) -> tuple[int, ...]:
+def recorded_pistons(properties: Mapping[str, Any]) -> tuple[int, ...]:
     """Return the numbers of the planes that contacts move in a recording, from its properties."""
     return tuple(int(number) for number in str(properties.get("pistons", "")).split() if number.isdigit())
 
@@ -177,7 +177,7 @@ def recorded_curves(recording: RecordedData, until: int | None = None) -> dict[s
     """Return the outlines of all plotted series by path, optionally only up to a step."""
     curves: dict[str, CurveOutline] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
-    pistons, outlets = len(pistons_of(recording.info)), outlets_of(recording.info)
+    pistons, outlets = len(recorded_pistons(recording.info)), outlets_of(recording.info)
     for series in (*all_series(stamped(recording.info)), *piston_series(pistons), *outlet_series(outlets)):
         table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
         if series.plot is not None and name in table.column_names:
