@@ -37,9 +37,9 @@ from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
 from carom.scene.schema import Coefficients
 
-# Largest overlap, relative to the sum of radii, without further position correction: the first for contacts whose
-# impulses converge to rounding, the second for contacts whose iterations end with small changes. The next step pushes
-# the remainder.
+# Largest overlap, relative to the sum of radii, that is not corrected further. The first value is for contacts whose
+# impulses converge to rounding, the second for contacts whose iterations end with small changes. The next step corrects
+# the remaining overlap.
 ENOUGH = 1e-9
 ENOUGH_AS_NEEDED = 1e-5
 
@@ -86,7 +86,7 @@ SETTINGS = dtype_of(SettingsRecord)
     CONJUGATE_DIRECTION,
     PROJECT,
     SCALE_BACK,
-) = range(13)  # phases
+) = range(13)  # the phases of the solver, in order
 
 
 class ConstraintSystem(NamedTuple):
@@ -97,7 +97,7 @@ class ConstraintSystem(NamedTuple):
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: RecordArray[ContactRecord]  # (m,) contacts, or ROLLING_CONTACT if the law resists rolling
     held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
-    enough: FloatArray  # (m,) `ENOUGH`, or `ENOUGH_AS_NEEDED` where small changes end the iterations
+    enough: FloatArray  # (m,) uncorrected overlap: `ENOUGH`, or where small changes suffice `ENOUGH_AS_NEEDED`
     small_change: FloatArray  # (m,) m/s, change of a contact's velocities below which it needs no further iteration
     states: RecordArray[ContactStateRecord]  # (m,)
     load_speed: FloatArray  # (m,) m/s, the largest acceleration in its island times the step; see `islands`

@@ -2,7 +2,7 @@
 
 The tap only reads the solver's records, so it does not change the run:
 
-- contacts of the previous step, which are held after the first kick: `held`
+- contacts of the previous step that are held after the first kick: `held`
 - impacts during the drift: `struck`, from their log
 - impacts at the end of the step: `after_impacts`; contacts held after the last kick: read from the solver's records
 
@@ -52,7 +52,8 @@ from carom.state.frame import empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-MOST_IMPACTS = 100_000  # most impacts stored between two frames, 15 MB; beyond, the hardest ones, but all are counted
+# most impacts stored between two frames, 15 MB; of more, the hardest are kept and all are counted
+MOST_IMPACTS = 100_000
 
 
 class Impulses(NamedTuple):
@@ -62,7 +63,7 @@ class Impulses(NamedTuple):
     normal: FloatArray  # (k, 3) normals from i to j
     arms: FloatArray  # (k, 2) m
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
-    time: FloatArray  # (k,) s
+    time: FloatArray  # (k,) s, time of each impulse
     turns: bool = True  # whether λ_t acts at the contact point; otherwise at both centres
     # (k,) whether the contact closed faster than its rest speed; None: all contacts were held
     impact: BoolArray | None = None
@@ -81,12 +82,12 @@ class RowData(NamedTuple):
 
 
 class Held(NamedTuple):
-    """Contacts as held after the first kick."""
+    """The contacts that are held after the first kick."""
 
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each contact's record
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
-    terms: FloatArray  # (m, 3) J, ledger of each record
+    terms: FloatArray  # (m, 3) J, losses of each record by entry of the ledger
 
 
 class Resolved(NamedTuple):
@@ -113,7 +114,7 @@ class ContactTap(OptionalPart):
         friction, world = contacts.needs.friction.modelled, contacts.world
         self._data = RowData(contacts.bodies.position, world.solver_box, world.materials, friction)
         self._buffer = Buffer(CONTACT_ROW)
-        self._largest_count = 0  # most rows of a step so far; a buffer with fewer is enlarged before use
+        self._largest_count = 0  # most rows of a step so far; a smaller buffer is enlarged before use
         self.forget()
 
     def compile(self) -> None:
@@ -141,7 +142,8 @@ class ContactTap(OptionalPart):
     def held(self, step: PresentStep) -> None:
         """Store the impulses that held contacts after the first kick.
 
-        The records do not change until the next step finds its contacts, but their ledger does, so it is copied.
+        The records do not change until the next step finds its contacts, but their energy losses do, so the losses are
+        copied.
         """
         solver = self._contacts.solver
         self._held = Held(self._contacts.contacts.pairs, solver.order.place, solver.contacts, solver.ledger.copy())
@@ -166,9 +168,9 @@ class ContactTap(OptionalPart):
             self._store(raw(rows[:count]).copy().view(CONTACT_ROW))
 
     def pop_impacts(self) -> tuple[Records, int, FloatArray]:
-        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and the number of omitted ones.
+        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and how many were omitted.
 
-        The last value is `ImpactSums.flat` of all impacts.
+        The third value is `ImpactSums.flat` of all impacts, stored or omitted.
         """
         store, self._impacts = self._impacts, ImpactStore()
         return store.rows(), store.left_out, self._totals.pop()
@@ -187,7 +189,7 @@ class ContactTap(OptionalPart):
         buffer = Buffer(CONTACT_ROW) if buffer is None else buffer
         rows = buffer.whole if len(buffer.whole) > self._largest_count else buffer.take(self._largest_count + 1)
         count = _merge(*merged, rows)
-        if count >= len(rows):  # the buffer holds no more than in the steps before
+        if count >= len(rows):  # the buffer has only as many rows as earlier steps needed
             rows = buffer.take(count + 1)
             _merge(*merged, rows)
         self._largest_count = max(self._largest_count, count)
@@ -235,7 +237,7 @@ class ContactTap(OptionalPart):
             yield Impulses(pairs, *geometry, solver.impulses, ended, angular=angular_impulses_of(solver.contacts))
 
     def work(self) -> FloatArray:
-        """Return the ledger of each contact of the step, (k, 3) J."""
+        """Return the energy losses of each contact of the step by entry of the ledger, (k, 3) J."""
         return np.concatenate((self._held.terms, self._drift.ledger, self._contacts.solver.ledger))
 
     def _store(self, impacts: Records) -> None:
@@ -277,7 +279,7 @@ class ImpactStore:
         """Return the impacts in order of time, at most `MOST_IMPACTS`."""
         if self._count > MOST_IMPACTS:
             self._leave_out()
-        if len(self._pieces) < 2:  # joining them takes 7 of the 60 µs for a frame with few bodies
+        if len(self._pieces) < 2:  # joining the pieces takes 7 of the 60 µs for a frame with few bodies
             return self._pieces[0] if self._pieces else NO_ROWS
         return joined(self._pieces, CONTACT_ROW)
 
@@ -289,8 +291,8 @@ class ImpactStore:
         self._pieces, self._count = [picked(rows, kept)], len(kept)
 
 
-# The kernels below unpack their tuples once: to pass a tuple to an inlined function, Numba counts references to all its
-# arrays, which takes 400 ns a row.
+# The kernels below unpack their tuples once: to pass a tuple to an inlined function, Numba counts references to all
+# arrays in the tuple, in 400 ns a row.
 
 
 @long_kernel
@@ -324,7 +326,7 @@ def _merge(
     ended: float,
     rows: RecordArray[ContactRow],
 ) -> int:
-    """Write a row for each pair that was held, met in the drift, touches or exerted an impulse; return their number.
+    """Write a row for each pair that was held, met in the drift, touches or exerted an impulse; return the row count.
 
     ``impacts`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
     fit are counted, and overwrite the last row.
@@ -335,7 +337,7 @@ def _merge(
     materials, places = data.materials.rows, data.materials.places
     a, b, c, count = 0, 0, 0, 0
     while a < len(held_pairs) or b < len(impacts) or c < len(pairs):
-        i, j = n, 0  # the first pair of the three lists
+        i, j = n, 0  # the first pair, by order, of the three lists
         if a < len(held_pairs):
             i, j = held_pairs[a, 0], held_pairs[a, 1]
         if b < len(impacts) and comes_before(impacts[b].i, impacts[b].j, i, j):

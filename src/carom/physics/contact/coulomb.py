@@ -18,7 +18,7 @@ REACHED = 1e-9  # relative deviation from μ_k λ_n at which a contact slides; s
 
 @inline
 def restitution(material: Coefficients, approach: float, rest_speed: float) -> float:
-    """Return e; 0 for contacts that close no faster than the rest speed."""
+    """Return the restitution e; 0 for contacts that close no faster than the rest speed."""
     return material.restitution if approach > rest_speed else 0.0
 
 
@@ -31,7 +31,7 @@ def dissipates(material: Coefficients) -> bool:
 
 @inline
 def impact_friction(material: Coefficients, normal: float, stopping: float) -> float:
-    """Return the impulse that ends the slip, or kinetic friction where static friction cannot end it."""
+    """Return the impulse that ends the slip, or kinetic friction if static friction is too weak to end the slip."""
     return material.kinetic_friction * normal if stopping > material.static_friction * normal else stopping
 
 
@@ -70,7 +70,7 @@ def sticks(material: Coefficients, normal: float, tx: float, ty: float, tz: floa
 
 @inline
 def slides(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Return whether |λ_t| = μ_k λ_n; in a contact that sticks |λ_t| may also be between μ_k λ_n and μ_s λ_n."""
+    """Return whether |λ_t| = μ_k λ_n; where a contact sticks, |λ_t| may also lie between μ_k λ_n and μ_s λ_n."""
     tangential: float = np.sqrt(tx * tx + ty * ty + tz * tz)
     kinetic: float = material.kinetic_friction * normal
     static: float = material.static_friction * normal

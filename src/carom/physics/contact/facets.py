@@ -1,12 +1,12 @@
 """Walls of many facets: which facets are near a body.
 
-Each facet is a solid of its own: it has a record and a number, after those of the planes and walls of the scene, so
-that a body touches several of them at once. The wall itself stays in its place among the solids, as a plane infinitely
-far away. A tree of boxes finds the facets near a point. Its nodes are records, too, behind those of all facets. Records
-have the fields `TREE` only in scenes with such walls, which kernels know at compile time.
+Each facet is a solid of its own, with a record and a number, so that a body can touch several facets at once. Facets
+follow the planes and walls of the scene. The wall itself keeps its place among the solids, as a plane infinitely far
+away. A tree of boxes finds the facets near a point. The nodes of the tree are also records, which follow the records of
+all facets. Records have the fields `TREE` only in scenes with such walls; kernels know at compile time whether they do.
 
-The nodes follow each other depth first. A walk that finds nothing in a box goes on at ``tree_skip``, the node behind
-its last descendant, so it needs no stack.
+The nodes follow each other depth first. A walk that finds nothing in a box continues at ``tree_skip``, the node after
+the box's last descendant, so it needs no stack.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def tree_of(triangles: FloatArray, first_facet: int, first_node: int) -> FloatAr
     centre, nodes, skips = 0.5 * (low + high), list[list[float]](), list[int]()
 
     def add(members: IntArray) -> None:
-        """Add the node of some triangles, and its descendants."""
+        """Add a node for some triangles, and its descendants."""
         place = len(nodes)
         box = [*low[members].min(axis=0), *high[members].max(axis=0)]
         leaf = [NO_FACET] * PER_LEAF
@@ -105,8 +105,8 @@ def _in_leaf(box: Any, place: int) -> int:
 
 @with_field(TREE[0], _next_facet)
 def next_facet(surface: FloatArray, solid: int, walk: int, point: Vector, reach: float) -> tuple[int, int]:
-    """Return the number of the next facet whose leaf is within ``reach`` of a point, and how the walk goes on.
+    """Return the number of the next facet whose leaf is within ``reach`` of a point, and the state of the walk.
 
-    ``point`` is relative to the wall; both are in m. The number is -1 at the end.
+    ``point`` is relative to the wall; ``point`` and ``reach`` are in m. At the end of the walk, the number is -1.
     """
     return -1, walk

@@ -21,8 +21,8 @@ from carom.physics.jit.vectors import where
 from carom.physics.sheared_box import nearest_in_drift, set_image_velocity
 from carom.physics.vector import Vector, between, nearest_image, vector
 
-# Arguments of kernels that belong together. Where Python calls a kernel in each step, they are plain tuples: Numba
-# takes 5 µs for a named tuple, 0.5 µs for a plain one. With named tuples, a step of `heap` took 1.09 times as long.
+# Kernel arguments that belong together. They are plain tuples for kernels that Python calls in each step: Numba takes 5
+# µs for a named tuple, 0.5 µs for a plain one. With named tuples, a step of `heap` took 1.09 times as long.
 Shapes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 """Positions (n, 3) m and radii (n,) m; box, as in `ConstraintSystem`; normals (p, 3) and offsets (p,) m of planes."""
 
@@ -50,7 +50,7 @@ def height_above(normal: FloatArray, offset: FloatArray, plane: int, x: float, y
 def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: float, skin: float) -> bool:
     """Return whether two spheres are no farther apart than ``radii scale + skin``; all searches use this test.
 
-    ``radii`` is the sum of the radii, (dx, dy, dz) points from one centre to the other, and a box is the result of
+    ``radii`` is the sum of the radii, (dx, dy, dz) points from one centre to the other, and ``box`` is the result of
     `sizes`; all are in m.
     """
     dx, dy, dz = nearest_image(dx, dy, dz, box)

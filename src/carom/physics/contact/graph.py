@@ -5,8 +5,8 @@ solved in parallel. The reference engine colours *bodies* so that neighbours dif
 of a colour", but two contacts of one such colour can share a body. Body colouring remains available for comparison.
 
 Contacts are solved colour by colour, and within a colour pair by pair, in pieces that threads can share. Their records
-are stored in this order, so an iteration reads memory sequentially. In the order of pairs, each colour would touch
-every cache line.
+are stored in this order, so an iteration reads memory sequentially. If the records were in the order of pairs, each
+colour would touch every cache line.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def comes_before(i: float, j: float, other_i: float, other_j: float) -> bool:
 
 @kernel
 def first_of(body: int, pairs: IntArray) -> int:
-    """Return the index of the first of the sorted pairs whose first body has at least a given number."""
+    """Return the index of the first sorted pair whose first body is ``body`` or a later one."""
     first, end = 0, len(pairs)
     while first < end:
         middle = (first + end) // 2
@@ -50,8 +50,8 @@ def first_of(body: int, pairs: IntArray) -> int:
 def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
     """Colour contacts greedily, in order, so that no two of a colour share a moving body.
 
-    Equal spheres touch at most 12 others, so 23 colours suffice for them. Contacts that do not fit into 64 colours have
-    the colour `OVERFLOW`.
+    A sphere touches at most 12 spheres of its size, so 23 colours suffice for them. Contacts that do not fit into 64
+    colours have the colour `OVERFLOW`.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
     Parameters
     ----------
     given
-        (n,) colours to keep, -1 for none; two bodies with the same given colour may touch.
+        (n,) colours to keep; -1 for a body without a colour; two bodies with the same given colour may touch.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
     bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
-    # a plane is not a node, so a body that touches only planes has the first colour
+    # planes get no colour, so a body that touches only planes has the first colour
     bodies[on_plane] = np.maximum(bodies[on_plane], 0)
     colours = bodies[pairs[:, 0]]
     colours[met] = np.minimum(colours[met], bodies[pairs[met, 1]])
@@ -152,7 +152,7 @@ class SolveOrder:
     place: IntArray  # (m,) index of each contact in this order of pieces
     pairs: IntArray  # (m, 2) pairs in the order of pieces
     pieces: IntArray  # (k, 2) first index and end of each piece's range; a piece has one colour
-    edges: IntArray  # (s + 1,) first piece of each colour, and k
+    edges: IntArray  # (s + 1,) first piece of each colour, then k
     independent: int  # number of leading colours whose contacts share no moving body
 
     @property
@@ -191,13 +191,13 @@ def _lay_out(
     edges: IntArray,
     pieces: IntArray,
 ) -> None:
-    """Divide the colours into pieces of about equal size, and assign each contact the next index of its colour."""
+    """Divide the colours into pieces of about equal size, and assign each contact the next free index of its colour."""
     k, end = 0, 0
     for colour in range(len(sizes)):
         lo, end = end, end + sizes[colour]
         sizes[colour] = lo
         fewest = max(1, -(-(end - lo) // CONTACTS_PER_PIECE))
-        size = -(-(end - lo) // (fewest * WIDTH)) * WIDTH  # whole blocks
+        size = -(-(end - lo) // (fewest * WIDTH)) * WIDTH  # rounded up to whole blocks
         while lo < end:
             pieces[k, 0], pieces[k, 1] = lo, min(end, lo + size)
             lo += size
@@ -216,7 +216,7 @@ class OrderedContacts:
 
     pairs: IntArray  # (m, 2) sorted pairs; j ≥ n is plane j - n
     colours: IntArray  # (m,)
-    body_colours: IntArray | None  # as in `CollisionGraph`
+    body_colours: IntArray | None  # colours of bodies; see `CollisionGraph`
     order: SolveOrder
 
     @classmethod

@@ -6,9 +6,9 @@ its velocity along N only, and the effective mass of friction does not contain M
 
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
-The correction of overlaps moves the wall, too. Their loads and their motion are an optional part, such as the pistons
-(`piston_motion`): it returns the `solids.GuidedPlanes` of a scene, whose motion extends `WallTranslation`. Records of
-bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
+The correction of overlaps moves the wall, too. The loads and the motion of guided walls are an optional part, such as
+the pistons (`piston_motion`). The part returns the `solids.GuidedPlanes` of a scene, whose motion extends
+`WallTranslation`. Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
 **Impacts during a drift.** As for bodies, the velocity u of the drift is the velocity in the middle of the step, and
 the path bends with the acceleration a between contacts. At a time τ into a drift of dt, the plane is displaced along N
@@ -33,7 +33,7 @@ from carom.physics.jit.decorators import inline, with_field
 from carom.physics.vector import Vector
 
 NO_PUSHES: FloatArray = np.zeros(0)  # m, displacements of guided walls in a scene without them
-GUIDE = (  # of a solid in a drift; zeros if contacts do not move the solid
+GUIDE = (  # fields of a solid in a drift; zeros if contacts do not move the solid
     "guide_start",  # m, r₀
     "guide_speed",  # m/s, u
     "guide_bend",  # m/s², a; 0 if contacts hold the wall, so that its path is straight
@@ -94,13 +94,13 @@ def _projected(body: Any, Jx: float, Jy: float, Jz: float) -> Vector:
 
 @with_field("axis_x", _projected)
 def along_guide(body: object, Jx: float, Jy: float, Jz: float) -> Vector:
-    """Return the part of an impulse (N s) that changes the velocity of a body: along the axis of a guided wall."""
+    """Return the part of an impulse (N s) that changes an end's velocity; for a guided wall, the axial part."""
     return Jx, Jy, Jz
 
 
 @with_field("axis_x", lambda Kn, a, b: Kn if b.axis_x == b.axis_y == b.axis_z == 0.0 else a.inverse_mass, place=2)
 def tangent_inverse_mass(Kn: float, a: object, b: object) -> float:
-    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given the normal one's."""
+    """Return the inverse effective mass (1/kg) of a tangential impulse without spins, given ``Kn`` along the normal."""
     return Kn
 
 

@@ -26,7 +26,7 @@ NO_ENTRIES: FloatArray = np.zeros((0, 3))
 
 
 class KickAudit(Protocol):
-    """The audit of impulses, as a step and its parts use it; as a context, it adds a change of velocities and spins."""
+    """The impulse audit as steps and parts use it; as a context manager, it adds the change of velocities and spins."""
 
     def add_kick(self, acceleration: FloatArray, dt: float) -> None:
         """Add a kick of (n, 3) m/s² for dt s."""
@@ -52,10 +52,10 @@ class PresentStep:
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is already booked
     last_kick: float = 0.0  # s, length of the kick after the drift
     path: DampedPath = STRAIGHT
-    against: FloatArray | None = None  # (n + p, 3) m/s² that contacts act against; None: the bodies' accelerations
-    impacts: Impacts = NO_IMPACTS  # of the drift
+    against: FloatArray | None = None  # (n + p, 3) m/s², accelerations that contacts act against; None: the bodies' own
+    impacts: Impacts = NO_IMPACTS  # impacts during the drift
     audit: KickAudit | None = None
-    # (k,) m, by which the correction of overlaps moved guided walls along their normals
+    # (k,) m, displacements of guided walls along their normals by the correction of overlaps
     pushed: FloatArray = field(default_factory=lambda: NO_PUSHES)
 
     def set_kicks(self, before: float, drift: float, after: float) -> None:
@@ -65,7 +65,7 @@ class PresentStep:
 
 
 class LedgerAccount(Protocol):
-    """The books, as parts use them; entries of the ledger have the sign of a loss."""
+    """The books as optional parts use them; a loss of the bodies is positive in the ledger."""
 
     def book_work(self, entry: str, work: float) -> None:
         """Book work (J) done on the bodies."""
@@ -82,7 +82,7 @@ class LedgerAccount(Protocol):
 
 
 class WorldForces(Protocol):
-    """The forces of a world, for parts that change which bodies they move."""
+    """The forces of a world, for parts that change which bodies the forces move."""
 
     def find_fixed(self) -> None:
         """Find the bodies that no force moves."""
@@ -99,9 +99,9 @@ class WorldForces(Protocol):
 class OptionalPart:
     """An optional part of the model, which overrides the hooks that it needs."""
 
-    entries: tuple[str, ...] = ()  # of the ledger, with the sign of a loss
-    pressing_energy = 0.0  # J, work of its loads over the smallest radius; the energy scale is at least as large
-    needs_every_step = True  # whether also steps in which nothing touches cannot be left to `few_bodies`
+    entries: tuple[str, ...] = ()  # names of the part's ledger entries; a loss is positive
+    pressing_energy = 0.0  # J, work of the part's loads along the smallest radius; the energy scale is at least that
+    needs_every_step = True  # whether `few_bodies` must not make steps, even where nothing touches
 
     # Between steps
 
@@ -128,7 +128,7 @@ class OptionalPart:
         """Move walls and images with a prescribed motion to their places at a time (s)."""
 
     def latest_end(self, time: float, adaptive: bool) -> float:
-        """Return the latest end (s) of a step that begins at a time; ``adaptive``: whether the scene sets no step."""
+        """Return the latest end (s) of a step that begins at ``time``; ``adaptive``: whether the scene sets no step."""
         return np.inf
 
     def is_busy(self) -> bool:
@@ -136,22 +136,22 @@ class OptionalPart:
         return False
 
     def support(self, by_solver: FloatArray) -> FloatArray:
-        """Return the supported accelerations, (n + p,) m/s², given those that the solver's contacts support."""
+        """Return the supported accelerations, (n + p,) m/s²; the solver's contacts support ``by_solver``."""
         return by_solver
 
     def warnings(self) -> Iterable[str]:
-        """Return the limits of the method that the last step reached."""
+        """Return warnings about the limits of the method that the last step reached."""
         return ()
 
     def losses(self) -> FloatArray:
-        """Return the energies of the last step that belong to no contact, (k, 3) J, by term of the ledger."""
+        """Return energies lost in the last step without a contact, (k, 3) J, by term of the ledger."""
         return NO_ENTRIES
 
     def lend(self, account: LedgerAccount) -> None:
         """Let kernels that take many steps continue the entries of the ledger."""
 
     def settle(self, account: LedgerAccount) -> None:
-        """Book the amounts that these kernels have added."""
+        """Book the amounts that the kernels added after `lend`."""
 
     def book(self, account: LedgerAccount) -> None:
         """Book the energy and impulses that the last step exchanged with the bodies."""
@@ -183,17 +183,17 @@ class OptionalPart:
         """Note impacts during the drift."""
 
     def arrive(self, step: PresentStep) -> None:
-        """Move everything but bodies to the end of the step, and put bodies back where they are allowed."""
+        """Move everything but bodies to the end of the step, and put back bodies that left the allowed space."""
 
     def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
         """Return the contacts, (m, 2), among the pairs that the search of ``others`` returns."""
         return others(step)
 
     def restarted(self) -> None:
-        """Keep records of held contacts: the solver will overwrite them."""
+        """Copy the records of held contacts before the solver overwrites them."""
 
     def load(self, dt: float) -> None:
-        """Raise the speeds up to which contacts are at rest in a step of dt seconds."""
+        """Raise the largest speeds of contacts at rest in a step of dt seconds."""
 
     def corrected(self, step: PresentStep) -> None:
         """Note that overlaps are corrected."""
@@ -220,7 +220,7 @@ class OptionalPart:
         """Note all impulses of contacts at the end of the step."""
 
     def conclude(self, step: PresentStep) -> None:
-        """Add to the statistics of the step."""
+        """Add this part's numbers to the statistics of the step."""
 
     def end(self, step: PresentStep) -> None:
         """Change velocities at the end of the step."""
@@ -230,7 +230,7 @@ class Mover(OptionalPart):
     """A part that moves the bodies through a drift, and resolves impacts there."""
 
     def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
-        """Resolve the impacts of pairs that touch at the end of a step of dt s; without one, only load the kernels."""
+        """Resolve the impacts of touching pairs after a step of dt s; without a ``pair``, only load the kernels."""
         raise NotImplementedError
 
     def step_by_impacts(self, span: float) -> float:

@@ -16,11 +16,11 @@ from carom.physics.aligned import columns
 from carom.physics.contact.records import ImpactRecord, RollingImpactRecord
 from carom.physics.diagnostics.ledger import terms_of
 
-ROUNDING = 1e-14  # relative to a body's speed, and to one radius per drift: a slower approach is rounding
-MAX_IN_COLLAPSE = 100  # impacts in a drift after which a body is held, where e < 1 and no force presses
-# Number of impacts of a body in a drift after which it rattles among others that press it, though no contact has yet
-# carried a load: with e < 1, its slow impacts then end at the load speed. Without this, bodies in the densest steps of
-# `hopper` have 1300 impacts instead of 160 and are exhausted.
+ROUNDING = 1e-14  # an approach slower than this is rounding, relative to a body's speed and to one radius per drift
+MAX_IN_COLLAPSE = 100  # impacts in a drift after which a body is held, if e < 1 and no force presses
+# Number of impacts of a body in a drift after which it counts as rattling between bodies that press it, even if no
+# contact has yet carried a load. With e < 1, impacts of a rattling body slower than the load speed do not rebound.
+# Without this, bodies in the densest steps of `hopper` have 1300 impacts instead of 160 and are exhausted.
 MANY_IMPACTS = 30
 
 
@@ -46,37 +46,37 @@ class Impacts:
 
     @cached_property
     def pairs(self) -> IntArray:
-        """(k, 2), i < j."""
+        """Pairs of bodies, (k, 2), with i < j."""
         return np.stack((self.log["i"], self.log["j"]), axis=1)
 
     @property
     def time(self) -> FloatArray:
-        """(k,) s from the beginning of the drift."""
+        """Times of the impacts, (k,) s from the beginning of the drift."""
         return cast(FloatArray, self.log["time"])
 
     @property
     def normal(self) -> FloatArray:
-        """(k, 3) from i to j."""
+        """Normals from i to j, (k, 3)."""
         return columns(self.log, ("nx", "ny", "nz"))
 
     @property
     def approach(self) -> FloatArray:
-        """(k,) m/s."""
+        """Closing speeds, (k,) m/s."""
         return cast(FloatArray, self.log["approach"])
 
     @property
     def rest_speed(self) -> FloatArray:
-        """(k,) m/s, of each impact."""
+        """Rest speed of each impact, (k,) m/s."""
         return cast(FloatArray, self.log["rest_speed"])
 
     @property
     def ledger(self) -> FloatArray:
-        """(k, 3) J."""
+        """Energy losses of each impact by entry of the ledger, (k, 3) J."""
         return terms_of(self.log)
 
     @cached_property
     def after(self) -> FloatArray:
-        """(k, 2, 3) m/s, velocities of both bodies right after the impact."""
+        """Velocities of both bodies right after the impact, (k, 2, 3) m/s."""
         return columns(self.log, ("vix", "viy", "viz", "vjx", "vjy", "vjz")).reshape(-1, 2, 3)
 
 

@@ -1,11 +1,12 @@
 """Sums over all impacts between two frames, for statistics, since most impacts have no row of their own.
 
-The rows of a busy run do not fit into memory or into its file, and the rows that remain are the largest, so they are no
-sample. These sums include every impact, in the order in which rows are made: by step, and within a step by time.
+The impacts of a busy run do not fit into memory or into its file. Only the largest impacts keep a row, so the rows are
+not a fair sample. These sums include every impact, in the order in which rows are made: by step, and within a step by
+time.
 
-The stress also needs Σ m c ⊗ c, which checkpoints give at only a few moments.
+The stress also needs Σ m c ⊗ c, where c is the velocity; checkpoints would give this sum at only a few moments.
 
-A path is the polyline through a body's positions in the frames and its centres at impacts, as in docs/statistics.md.
+A path is the polyline through a body's centres at the frames and at its impacts; see docs/statistics.md.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class _Corners(NamedTuple):
     mass: FloatArray  # (n,) kg
     moves: BoolArray  # (n,)
     group: IntArray  # (n,) from 0 on
-    groups: int  # number of groups, which also stands for planes and walls
+    groups: int  # number of groups; as a group, this number stands for planes and walls
     last: FloatArray  # (n, 3) m
     box: FloatArray  # (3,) m
 
@@ -81,7 +82,7 @@ class ImpactTotals:
         self.add(NO_ROWS)  # loads the kernel now, so that the first impact does not wait for a compiler
 
     def forget(self) -> None:
-        """Begin at the present positions."""
+        """Begin new paths at the present positions."""
         self.pop()
 
     def add(self, rows: Records) -> None:

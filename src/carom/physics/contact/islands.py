@@ -3,9 +3,9 @@
 A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
 share its load, so the largest acceleration of the whole island decides: in the middle of a pile nothing accelerates,
 but the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands
-have no influence. The uniform field is subtracted, since it accelerates all bodies alike, unless something is fixed and
-does not fall. Without gravity, the speed is 0, and every contact is an impact. The rest speed of a contact, its
-restitution threshold, is at most its load speed (`loads`).
+have no influence. The uniform field accelerates all bodies alike, so it is subtracted, unless some body or plane is
+fixed and does not fall. Without gravity, the speed is 0, and every contact is an impact. The rest speed of a contact,
+its restitution threshold, is at most its load speed (`loads`).
 
 Islands are found by union-find: each island is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
@@ -71,7 +71,7 @@ class Islands:
     ) -> bool:
         """Write the load speed of each contact, `PER_STEP` |a|max dt of its island.
 
-        Two bodies that rest on each other and start a step at rest close at most that fast at its end.
+        Two bodies that rest on each other and start a step at rest close no faster than the load speed at its end.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ def mark_meshed(
 ) -> None:
     """Write `ENOUGH_AS_NEEDED` for the contacts of large islands with many contacts per body.
 
-    The load of such islands has many paths, so sweeps converge fast, and contact forces have no unique solution.
+    A load has many paths through such islands, so sweeps converge fast, and contact forces have no unique solution.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def mark_meshed(
     parent, counts
         (n + p,) and (n + p, 2), workspaces: the tree of each island, and the bodies and contacts at its root.
     enough
-        (m,) of the other contacts, see `ConstraintSystem`.
+        (m,), holds the values of the other contacts; see `ConstraintSystem`.
     """
     for k in range(len(active)):
         parent[active[k]] = active[k]
@@ -217,7 +217,7 @@ def _write_speeds(
     dt: float,
     speeds: FloatArray,
 ) -> None:
-    """Write the load speed of each contact; the same for all where islands were not ``joined``."""
+    """Write the load speed of each contact; all get the same if islands were not ``joined``."""
     parent, largest, flags = tables
     presses, speed = False, 0.0
     for c in range(lo, hi):
@@ -280,7 +280,7 @@ def island_load_speeds(
 
 @inline
 def _join_through_wall(p: int, speed: float, scale: float, skin: float, T: Trajectories) -> None:
-    """Join the bodies near a wall that contacts move, and give them its load speed (m/s); see `island_load_speeds`."""
+    """Join the bodies near a guided wall, and give them the wall's load speed (m/s); see `island_load_speeds`."""
     first = -1
     for i in range(len(T.x)):
         x, y, z = vector(T.x, i)

@@ -3,8 +3,8 @@
 The functions below are the ones that `carom.scene.contact_laws.ContactLaw` defines. Kernels call these functions with
 ``material``, the record of a contact's coefficients. The type of the record names the law, by default Coulomb's
 (`coulomb`). Numba selects the functions by that type when it compiles a kernel, so a call costs nothing, and functions
-that a law lacks are not compiled. Kernels are compiled separately for each law, and `KernelCache` stores them under
-these types. The other arguments are
+that a law lacks are not compiled. Kernels are compiled separately for each law; `KernelCache` stores them by the types
+of their arguments. The other arguments are
 
 - ``approach``, ``rest_speed`` in m/s: the closing speed, and the closing speed up to which the contact is at rest
 - ``normal`` in N s: the normal impulse of an impact, or the total since the kick
@@ -14,12 +14,12 @@ these types. The other arguments are
 
 All laws share three things:
 
-- Normal impulses are repulsive, λ_n ≥ 0: a condition of the solver. A law with adhesion would change the places where
-the solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
+- Normal impulses are repulsive, λ_n ≥ 0: the solver relies on this. A law with adhesion would need changes wherever the
+solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
 - The warm start keeps one normal and one tangential impulse, `IMPULSES`, and one angular impulse (`rolling`).
 - The ledger books the energy removed by the normal impulse as restitution, and the remaining loss as friction.
 
-`carom.physics.reference_api.CollisionContext` repeats Coulomb's law in vector form, for tests to compare.
+`carom.physics.reference_api.CollisionContext` repeats Coulomb's law in vector form for comparison in tests.
 """
 
 from __future__ import annotations
@@ -38,13 +38,15 @@ from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 
 MATERIAL = dtype_of(Coefficients)
-IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, components λ_n and λ_t in `CONTACT`
-NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # their columns in arrays
-LAW = coulomb  # the law of plain Python, which supports no other
+# names of λ_n and the components of λ_t in `CONTACT`, N s
+IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")
+NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # columns of `IMPULSES` in arrays
+LAW = coulomb  # the law in plain Python, which supports no other law
 
 _ONLY_KERNELS = "only kernels call it"
 _MARK = "contact_law_"  # prefix of the first field in materials whose law is not Coulomb's
-_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field, and by their own names
+# functions by the name of the marking field, then by their own names
+_laws: dict[str, dict[str, Callable[..., Any]]] = {}
 
 
 class Materials(NamedTuple):
@@ -57,8 +59,8 @@ class Materials(NamedTuple):
 def materials_of(pairs: PairCoefficients, owner: IntArray | None = None) -> Materials:
     """Return the coefficients of each pair as records.
 
-    ``owner``, (p + f,), is the number of the plane or wall whose coefficients each end besides the bodies has; each its
-    own by default.
+    ``owner``, (p + f,), is the number of the plane or wall whose coefficients apply to each end that is not a body; by
+    default, each end has its own.
     """
     places, kept = pairs.places, np.arange(len(pairs.rows))
     if owner is not None and len(places):
@@ -92,7 +94,7 @@ def _mark_of(laws: tuple[str, ...]) -> str:
 
 
 def _functions_of(kind: Any) -> dict[str, Callable[..., Any]]:
-    """Return the functions that the law of this type of material (NumPy's or Numba's) defines, by name."""
+    """Return the functions, by name, that the law of a material type (NumPy's or Numba's) defines."""
     return _laws.get(next(iter(kind.fields)), {})
 
 
@@ -102,7 +104,7 @@ def has_torque(kind: Any) -> bool:
 
 
 def _of_law(stub: Function) -> Function:
-    """Let kernels call the function of this name that the law defines, or Coulomb's."""
+    """Let kernels call the law's function of this name, or Coulomb's if the law lacks it."""
 
     @chosen_by_type(stub)
     def of_law(material: Any, *arguments: Any) -> Any:
@@ -152,7 +154,7 @@ def lasting_friction(material: Coefficients, normal: float, tx: float, ty: float
 def sliding_friction(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> Vector:
     """Return the tangential impulse of a lasting contact that has slid and does not stick again.
 
-    The impulse must be continuous in the arguments, which are those of `lasting_friction`; see `solver.phases`.
+    The arguments are as in `lasting_friction`. The impulse must be continuous in them; see `solver.phases`.
     """
     raise NotImplementedError(_ONLY_KERNELS)
 
@@ -222,10 +224,10 @@ def _restitution_of_impact(material: Any, *arguments: Any) -> Any:
 
 @inner
 def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
-    """Return the row of the coefficients of ends i < j; with a single material, 0 between bodies and 1 + p at plane p.
+    """Return the row of the coefficients of ends i < j; with one material, row 0 is for bodies, 1 + p for plane p.
 
-    This function is not inlined, since Numba would then count references to the array: a sweep over 5·10⁴ contacts
-    would take 20 ms instead of 15.
+    This function is not inlined. If it were, Numba would count references to the array, and a sweep over 5·10⁴ contacts
+    would take 20 ms instead of 15 ms.
     """
     if len(places) == 0:
         return max(0, j - bodies + 1)

@@ -6,12 +6,12 @@ pair along its normal is
     A = max(0, (a_i - a_j)·n, max(0, b_i·n) + max(0, -b_j·n)) + n·(L_i + L_j)·n,
     b = a + Σ J/(m h),    L = Σ λ n nᵀ/(m h)
 
-with the sums over the contacts of a body in the last kick h, where J are their impulses on the body and λ the normal
-impulses. The first term is the relative acceleration, without and with the contacts. With them, each body is judged by
-itself, because in a high column two bodies that still fall alike are stopped one after the other. The second term is
-the load that contacts carry in the direction of the normal: in a pile, where nothing accelerates, a body that leaves
-one contact is pressed back by the others. Marbles side by side on a floor carry a load, but none along their common
-normal, so they bounce at any speed.
+where the sums are over the contacts of a body in the last kick h, J are the contacts' impulses on the body, and λ are
+their normal impulses. The first term is the relative acceleration, without the contacts (a) and with them (b). With the
+contacts, each body counts by itself: two bodies of a high column may still fall alike, but will be stopped one after
+the other. The second term is the load that contacts carry along the normal: in a pile, where nothing
+accelerates, a body that leaves one contact is pressed back by the others. Marbles side by side on a floor carry a load,
+but none along their common normal, so they bounce at any speed.
 
 The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load accelerates a body more
 than the largest acceleration.
@@ -29,7 +29,7 @@ from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, between, vector
 from carom.scene.rest_speed import PER_STEP
 
-UNKNOWN = 1e200  # m/s², a load in all directions, for which the rest speed is the load speed
+UNKNOWN = 1e200  # m/s², a load in all directions, so large that the rest speed is the load speed
 
 
 LOAD = dtype_of(LoadRecord)
@@ -109,7 +109,7 @@ def write_rest_speeds(
     """Write the rest speeds (m/s) of the contacts [lo, hi).
 
     ``pressed`` holds velocities (m/s), accelerations (m/s²) and loads of bodies and planes, and the length of the step
-    (s). A pair that closes more slowly than velocities are rounded is at rest, too.
+    (s). A pair whose closing speed is within the rounding of velocities is also at rest.
     """
     v, a, loads, dt = pressed
     for c in range(lo, hi):

@@ -7,8 +7,8 @@ velocity
     s = Ω × (p - c),    u = v_t + s - ρ_i ω_i × n
 
 If the wall translates, too (`translating_walls`), c moves with it, and v_t contains its velocity. Friction λ_t and an
-angular impulse Λ act on the wall, and their opposites on the body. The ledger books the energy that
-both dissipate, -λ_t·u - Λ·(Ω - ω_i). The wall does the work
+angular impulse Λ act on the wall, -λ_t and -Λ on the body. The ledger books the energy that both impulses dissipate,
+-λ_t·u - Λ·(Ω - ω_i). The wall does the work
 
     W = -λ_t·s - Λ·Ω
 
@@ -27,7 +27,7 @@ from carom.physics.contact.translating_walls import displacement_in_drift, shift
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel, with_field
 from carom.physics.vector import Vector
 
-ENTRY = "walls"  # name of the ledger entry, with the sign of a loss: -W
+ENTRY = "walls"  # name of the ledger entry, which is -W because a loss is positive
 MOTION = ("motion_spin_x", "motion_spin_y", "motion_spin_z", "motion_x", "motion_y", "motion_z")  # Ω and c of a solid
 
 
@@ -52,7 +52,7 @@ def _slip_on_wall(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
 
 @inline
 def _surface_velocity(contact: Any) -> Vector:
-    """Return s in m/s. Most contacts are between bodies, and their third cache line is not read."""
+    """Return s in m/s. For a contact between bodies, the third cache line is not read."""
     if contact.arm_j > 0.0:
         return 0.0, 0.0, 0.0
     return contact.surface_x, contact.surface_y, contact.surface_z
@@ -127,7 +127,7 @@ def work_of_contacts(
     surface: Any,
     bodies: int,
 ) -> float:
-    """Return the work in J that moving walls do on a number of bodies by the impulses of contacts.
+    """Return the work (J) that moving walls do on the first ``bodies`` ends by impulses of contacts.
 
     ``impulses``, (m,), may be the records of the contacts.
     """

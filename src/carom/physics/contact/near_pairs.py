@@ -1,19 +1,21 @@
 """The pairs of a step that are listed as contacts: touching pairs, and pairs that may soon touch.
 
-Pairs that touch are near. If contacts last, pairs that a fall from rest could close within a step are near, too.
+Pairs that touch are near. If contacts can last, pairs that a fall from rest could close within a step are also near.
 Iterations that end early leave small gaps. If such pairs were not listed, their contacts would start without an impulse
 in the next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy instead of 10⁻²².
 
 A list of pairs avoids most searches (Verlet 1967). The list is rebuilt only when bodies have moved far enough, and
 contains all pairs within the search distance, and pairs farther apart by at most a margin. Two bodies that have each
-moved by at most d since then have come closer by at most 2d. As long as 2d is within the margin, the list holds all
-pairs within the search distance. The listed pairs pass the same exact test, in the same order, so the result equals the
-result of a search. A search for shorter distances has the difference as a margin, too: a step whose drift searches
-farther finds its contacts in the same list, however fast bodies are.
+moved by at most d since the list was made have come closer by at most 2d. As long as 2d is within the margin, the list
+holds all pairs within the search distance. The listed pairs pass the same exact test, in the same order, so the result
+equals the result of a search. A search within a shorter distance than the list's has the difference as an additional
+margin. So a step whose drift has searched within a larger distance finds its contacts in the same list, however fast
+bodies are.
 
 The margin is chosen by the speed of the bodies so that a list lasts for `CALLS` calls, within limits. A wider list
 costs more to test but is rebuilt less often. For 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their
-radius a step, a step takes 0.45 of the time of one that searches; with lists for 4 and 12 calls, 0.54 and 0.43.
+radius a step, a step takes 0.45 of the time of a step that searches; with lists for 4 and 12 calls, it takes 0.54 and
+0.43.
 """
 
 from __future__ import annotations
@@ -46,12 +48,13 @@ from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 
 ROUNDING = 4  # units in the last place of the largest coordinate; pairs with a smaller gap touch
-LARGEST_SKIN = 0.1  # of the smallest radius
+LARGEST_SKIN = 0.1  # largest skin, as a fraction of the smallest radius
 MIN_BODIES_PER_TASK = 4000  # bodies for about 10 µs of work
 SQUARE, COORDINATE = range(2)  # indices into the array of largest values
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # margins in smallest radii; in a heap they give 1.3 and 3 times as many pairs
 CALLS = 10  # calls for which a list is made
-LEAST_SEARCHES = 4  # searches that a list must save at the present speed, since making one with a margin costs two
+# searches that a list must save at the present speed, since making a list costs as much as two searches
+LEAST_SEARCHES = 4
 LIST_ROUNDING = 1e-14  # error relative to the largest coordinate and distance; the test of a pair errs by about 1e-16
 OF_HALF_A_BOX = 0.9  # largest search distance and margin, in half box sizes; beyond, another image may be nearer
 BODIES_PER_BLOCK = 2048  # bodies whose displacements are measured at a time: 48 KiB of positions
@@ -59,7 +62,7 @@ PAIRS_PER_BLOCK = 4096  # pairs of the list that are tested at a time: 64 KiB
 MIN_BLOCKS_PER_TASK = 2
 BODIES_PER_MERGE = 1024  # bodies for which pairs with planes are added at a time: 24 KiB of positions
 MIN_MERGES_PER_TASK = 1
-FEWEST_FACETS = 4  # near a body: space for them, which doubles when it is exceeded
+FEWEST_FACETS = 4  # space for facets near a body; doubled when it is exceeded
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +74,7 @@ class ContactWorld:
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed
     bending: FloatArray  # (3,) m/s², the uniform field if something is fixed; zeros if it accelerates everything alike
-    shear: ShearedBox | None  # images of a sheared box
+    shear: ShearedBox | None  # the sheared box, whose images move; otherwise None
     exact: bool  # whether impacts are resolved at their exact times
 
     @property
@@ -81,12 +84,12 @@ class ContactWorld:
 
     @property
     def meets_in_drifts(self) -> bool:
-        """Whether all contacts are impacts in a drift: in a sheared box, they last only without exact times."""
+        """Whether all contacts are impacts in a drift, as in a sheared box with exact times."""
         return self.exact and self.shear is not None
 
     @property
     def solver_box(self) -> FloatArray:
-        """The box for the kernels of lasting contacts, or the record of a sheared one."""
+        """The box for the kernels of lasting contacts, or the record of a sheared box."""
         return self.shear.at_present if self.shear and not self.exact else self.box
 
     def flow(self, largest: float) -> float:
@@ -114,7 +117,7 @@ class NearPairs:
         self._shear = world.shear
         self._guided = planes.guided
         self._flow = world.flow(float(bodies.radius.max()))  # m/s², acceleration of contacts that a flow closes
-        self.rounding = 0.0  # m, rounding of the coordinates
+        self.rounding = 0.0  # m, rounding error of the coordinates
         self.loading = 1.0  # largest factor by which walls increase the acceleration that presses contacts together
 
     def find(self, dt: float) -> IntArray:
@@ -144,7 +147,7 @@ class NearPairs:
         own = max(np.sqrt(square), self._guided.largest_acceleration if self._guided else self._flow)
         fall = (own + self._lift) * dt * dt
         self.loading = 1.0 + self._lift / own if own > 0.0 else 1.0
-        if (own == 0.0 or fall == 0.0) and not self._press_alone:  # all contacts are impacts, without a list
+        if (own == 0.0 or fall == 0.0) and not self._press_alone:  # all contacts are impacts, so no list is needed
             self.rounding = 0.0
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))
@@ -225,7 +228,7 @@ class KdTree:
 
 
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
-    """Return the search of a scene's ``contact.search``; a team searches the grids.
+    """Return the search of a scene's ``contact.search``; ``team`` is the threads that search grids.
 
     Few bodies are tested pair by pair, which is as fast as a list.
     """
@@ -245,7 +248,7 @@ class PairList:
         self._listed = np.empty((0, 2), dtype=np.int64)
         self._start = np.full((len(radius), 3), np.inf)  # m, positions when the list was made, or at the last call
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
-        self._scale, self._skin = 0.0, -np.inf  # distance within which the list holds all pairs
+        self._scale, self._skin = 0.0, -np.inf  # scale and skin of the distance within which the list holds all pairs
         self._least = -np.inf  # m, the distance without the margin
         self._calls = self._searches = 1  # calls since the list was made, and calls that need the margin
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
@@ -270,7 +273,7 @@ class PairList:
         return self._within_reach(position, scale, skin)
 
     def _margin(self, closer: float, scale: float, skin: float) -> float:
-        """Return the margin of a list (m), given how much closer bodies came since the last list; 0 for no margin."""
+        """Return a list's margin in m, given how much closer bodies came since the last list; 0 means no margin."""
         most = min(MOST_MARGIN * self._smallest, OF_HALF_A_BOX * self._widest - 2.0 * self._largest * scale - skin)
         if not closer / self._searches * LEAST_SEARCHES <= most:
             return 0.0
@@ -388,7 +391,7 @@ def _merge(
     merged: IntArray,
     blocks: RecordArray[BlockRecord],
 ) -> None:
-    """Merge the pairs of the blocks [lo, hi) of bodies; each body has space for a number of pairs with planes.
+    """Merge the pairs of the blocks [lo, hi) of bodies; each body has space for its pairs with planes.
 
     The count of a block is -1 if the facets near a body need more space.
     """
@@ -431,7 +434,7 @@ def _add_facets(
 ) -> int:
     """Add the pairs of a body with facets of a wall within ``reach`` (m), sorted; return the row behind them.
 
-    ``rows`` are the first free row and the row behind the last; a result behind it means that there is no space.
+    ``rows`` are the first free row and the end of the space; a result beyond the end means that the space is too small.
     """
     (x, y, z), (surface, offset), (m, last) = vector(spheres[0], i), planes, rows
     begin, (dx, dy, dz) = m, shift_of(surface, wall)
@@ -453,7 +456,7 @@ def _add_facets(
 
 @kernel
 def are_present(pairs: IntArray, absent: BoolArray) -> BoolArray:
-    """Return which pairs have both ends there, given which bodies are absent, (n,); planes are always there."""
+    """Return which pairs have both ends present; ``absent``, (n,), marks absent bodies; planes are always present."""
     present, n = np.empty(len(pairs), dtype=np.bool_), len(absent)
     for c in range(len(pairs)):
         i, j = pairs[c, 0], pairs[c, 1]

@@ -10,7 +10,7 @@
 Features that only some scenes require are in parts, which this module does not name; it calls their hooks
 (`contact.hooks`).
 
-An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
+An integrator whose steps end at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from carom.state.frame import empty_graph
 class ContactPipeline:
     """Detects the contacts of each step and resolves them.
 
-    ``others`` are parts of a step that do not depend on contacts. With ``totals`` of impacts, contacts are recorded.
+    ``others`` are parts of a step that do not depend on contacts. Contacts are recorded if ``totals`` is given.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class ContactPipeline:
         # islands are of interest only where contacts last
         sweeps = contact.sweeps if self.lasts or contact.sweeps != "auto" else "converged"
         shapes = bodies, world.planes, world.materials, world.solver_box
-        # torques belong to contacts that last, so the impulses of impacts are known
+        # torques are for lasting contacts only, so the impulses of impacts are subtracted
         keeps = totals is not None or requirements.torque.modelled
         self.solver = ContactSolver(*shapes, friction, team, keeps, sweeps)
         if not self.lasts:
@@ -83,7 +83,8 @@ class ContactPipeline:
         self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the step's contacts
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
-        # with fewer sweeps than the default, sticking contacts may slip, and their works in both kicks do not cancel
+        # with fewer sweeps than the default, sticking contacts may slip, and the works of a contact in the two kicks do
+        # not cancel
         sticks = world.is_still and self.most_sweeps >= MOST_SWEEPS["auto"]
         self.signs = SignsOfDissipation(bodies, world.materials, sticks, world.planes)
         names = required(scene, requirements, totals is not None)
@@ -102,10 +103,10 @@ class ContactPipeline:
 
     def forget(self) -> None:
         """Return to the state before the first step."""
-        self.impulses = ImpulseCache.empty()  # impulses with which the next kick starts
-        self.idle: IdleContacts | None = None  # of the step
+        self.impulses = ImpulseCache.empty()  # impulses from which the next kick starts
+        self.idle: IdleContacts | None = None  # contacts of the step that no solver computes
         self.unmoved: BoolArray | None = None  # (n,) bodies that no kick of this step moves
-        self.absent: BoolArray | None = None  # (n,) bodies that do not exist now, and touch nothing
+        self.absent: BoolArray | None = None  # (n,) bodies that are absent now, and touch nothing
         self.presses = False  # whether something presses contacts together
         if self.lasts:
             self.solver.find_loads(0.0)
@@ -113,9 +114,9 @@ class ContactPipeline:
         if self.needs.torque.modelled:
             self.torques.remember()
         self.ledger_apart = NO_ENTRIES  # (k, 3) J, ledger entries of the step that belong to no contact
-        self.impacts: Impacts = NO_IMPACTS  # of the drift
-        self.statistics = NO_CONTACTS  # of the step
-        self.counts_impacts = True  # whether statistics include the impacts of the drift; a look-ahead does without
+        self.impacts: Impacts = NO_IMPACTS  # impacts of the drift
+        self.statistics = NO_CONTACTS  # statistics of the step
+        self.counts_impacts = True  # whether statistics include the impacts of the drift; a look-ahead leaves them out
         self.snapshots.forget()
         self.signs.forget()
         for part in self.parts:
@@ -224,7 +225,7 @@ class ContactPipeline:
         return self._mover.step_by_impacts(span)
 
     def time_to_stick(self, dt: float, tolerance: float) -> float:
-        """Return the time (s) until a held contact stops sliding or rolling; see `sticking`."""
+        """Return the time (s) until some held contact stops sliding or rolling; see `sticking`."""
         held, contacts = self.impulses, self.contacts
         if not (self.needs.friction.modelled and held.kick > 0.0 and np.array_equal(held.pairs, contacts.pairs)):
             return np.inf
@@ -239,7 +240,7 @@ class ContactPipeline:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the contacts of the last step are held as the next one begins, or carry no impulses.
+        """Whether the contacts of the last step carry no impulses, or are held as the next step begins.
 
         False if anything else happened in the last step.
         """
@@ -273,7 +274,7 @@ class ContactPipeline:
         self.impacts = NO_IMPACTS
 
     def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> None:
-        """Resolve impacts of pairs that touch at the end of a step of dt s; without a pair, only load the kernels."""
+        """Resolve the impacts of touching pairs after a step of dt s; without a ``pair``, only load the kernels."""
         assert self._mover, "the integrator ends its steps at impacts"
         self.impacts = self.impacts.followed_by(self._mover.resolve_meeting(pair, dt))
 
@@ -305,14 +306,14 @@ class ContactPipeline:
         step.profile.mark("stabilisation")
 
     def resolve(self, step: PresentStep) -> None:
-        """Apply the impulses of these contacts after the last kick of a step, at the final positions."""
+        """Apply the impulses of the contacts after the last kick of a step, at the final positions."""
         for finish in self.hooks.finish:
             finish(step)
         if len(self.contacts):
             self._resolve(step)
         else:
             self.impulses = ImpulseCache.empty()
-        self.solver.find_pressing()  # the pressing contacts of the state in the checkpoint
+        self.solver.find_pressing()  # finds the pressing contacts of a state from a checkpoint
         self.snapshots.set_step(self.contacts, self.idle, self.impacts, step.dt)
         self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         for conclude in self.hooks.conclude:
@@ -322,7 +323,7 @@ class ContactPipeline:
             self.signs.judge_contacts(self.contacts, self.solver, self.impacts, loaded, step.last_kick)
 
     def limits_reached(self) -> list[tuple[str, str]]:
-        """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""
+        """Return warnings about limits of the method first reached in this step: level (`WARN` or `INFO`) and text."""
         reached = limits_of(
             self.settings,
             serial_stage=self.contacts.overflows and not self.world.planes.takes_colours,
@@ -355,7 +356,7 @@ class ContactPipeline:
             before_impacts(step)
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self.is_at_rest
-        # where a force acts on some bodies only, others are near without being pressed: open gaps stay open
+        # if a force acts only on some bodies, others are near without being pressed: open gaps stay open
         impacts_only = lasting or self.near.lists_open
         self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=impacts_only)
         for after_impacts in self.hooks.after_impacts:
@@ -375,7 +376,7 @@ class ContactPipeline:
 
     @property
     def is_at_rest(self) -> bool:
-        """Return whether contacts may be at rest: without a force that presses them together, all are impacts."""
+        """Return whether contacts may be at rest; without a force that presses bodies together, all are impacts."""
         return self.lasts and self.presses
 
     def _hold_contacts(
@@ -385,7 +386,7 @@ class ContactPipeline:
         solver, pairs = self.solver, self.contacts.pairs
         place = solver.order.place
         self.impulses.carry_to(pairs, place, kick, solver.contacts, self.team)
-        if kick > 0.0:  # Euler's step ends without a kick, so the next one starts from the impulses of the first kick
+        if kick > 0.0:  # Euler's step ends without a kick, so the next step starts from the impulses of its first kick
             self.impulses = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, booked, drift, bias_rate, self.most_sweeps, against)
 

@@ -1,17 +1,16 @@
 """Pistons: planes, each with a mass M, that move along their normals N only, under constant loads and gravity.
 
-Contacts move them like any guided wall (`guided_walls`). Kicks change the velocity u of a piston by a h, with
-a = F/M + g·N. Drifts change its displacement s along N by r(dt): by u dt, and by what its impacts change at their own
-times.
+Contacts move pistons like any guided wall (`guided_walls`). Kicks change the velocity u of a piston by a h, with
+a = F/M + g·N. Drifts change its displacement s along N by r(dt), which contains the impacts at their own times.
 
-The bodies give the piston the energy ½ M u² - M a s, whose change the ledger books in the entry for walls. The impulse
-of the bodies on its face, which a load cell there would measure, is
+The bodies give the piston the energy ½ M u² - M a s, whose change the ledger books in the entry for walls. A load cell
+on the piston's face would measure the impulse of the bodies on it, which is
 
     ∫ P dt = M Σ a dt - M Δu
 
-A pressure acts on the face between the other planes, which pistons may move, so F follows from the displacements of all
-pistons that are expected in the middle of a step, and is constant within it. A load accelerates a piston no further
-than to its largest speed, if it has one.
+A pressure acts on the face between the other planes, some of which may be pistons. F is therefore computed from the
+expected displacements of all pistons in the middle of a step, and is constant within the step. A load accelerates a
+piston no further than to its largest speed, if it has one.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
 _AXES = ("x", "y", "z")
-MOST_MOVED = 0.1  # of the smallest radius, by which a piston may move in a step if impacts are late by as much
-MOST_FALLEN = 0.01  # of the smallest radius, by which its acceleration may move a piston from rest in a step
+MOST_MOVED = 0.1  # most displacement of a piston in a step, in smallest radii, if impacts are resolved at its end
+MOST_FALLEN = 0.01  # most displacement of a piston from rest by its acceleration in a step, in smallest radii
 
 
 class PistonPlanes:
@@ -43,10 +42,10 @@ class PistonPlanes:
 
     def __init__(self, scene: Scene, normals: FloatArray) -> None:
         sections = pistons_of(scene)
-        self.rows = np.array(list(sections), dtype=np.int64)  # their numbers among the solids
+        self.rows = np.array(list(sections), dtype=np.int64)  # numbers of the pistons among the solids
         self.normals = normals[self.rows]  # (k, 3)
         self.mass = np.array([section.mass for section in sections.values()])  # kg
-        self.velocity = np.array([section.velocity for section in sections.values()])  # m/s, at the start
+        self.velocity = np.array([section.velocity for section in sections.values()])  # m/s, velocities at the start
         self.fastest = np.array([section.max_speed or np.inf for section in sections.values()])  # m/s
         self.late = timing(scene) == "end-of-step"  # whether impacts are resolved at the end of a step
         self._gravity = np.array(
@@ -54,10 +53,10 @@ class PistonPlanes:
                 sum(float(g) * float(along) for g, along in zip(scene.gravity.uniform, normal, strict=True))
                 for normal in self.normals
             ]
-        )  # m/s², along the normals
+        )  # m/s², gravity along the normals
         self._force = np.array([section.force or 0.0 for section in sections.values()])  # N
         self._pressure = np.array([section.pressure or 0.0 for section in sections.values()])  # Pa
-        # m, the sides of the face of each piston with a pressure, (k, 2), and which pistons shorten them, (k, 2, k)
+        # the sides of the face of each piston with a pressure, (k, 2) m, and which pistons shorten each side, (k, 2, k)
         self._sides, self._shortens = np.zeros((len(sections), 2)), np.zeros((len(sections), 2, len(sections)))
         for row, (plane, section) in enumerate(sections.items()):
             for side, (length, moved_by) in enumerate(sides_of_face(scene, plane) if section.pressure else ()):
@@ -67,7 +66,7 @@ class PistonPlanes:
 
     @property
     def largest_acceleration(self) -> float:
-        """The largest of their accelerations along their normals in m/s², without contacts."""
+        """The largest acceleration of a piston along its normal in m/s², without contacts."""
         return float(np.abs(self.acceleration).max())
 
     def loaded(self, displacement: FloatArray) -> FloatArray:
@@ -77,9 +76,9 @@ class PistonPlanes:
         return np.asarray(force / self.mass + self._gravity)
 
     def limited(self, velocity: FloatArray, duration: float) -> FloatArray:
-        """Return the accelerations of a step of some s, (k,) m/s², of pistons with velocities, (k,) m/s.
+        """Return the accelerations of pistons with some velocities, (k,) m/s, in a step of some s, (k,) m/s².
 
-        The accelerations by the loads end at the largest speeds.
+        A load stops accelerating a piston at its largest speed.
         """
         left = (self.fastest - np.sign(self.acceleration) * velocity) / duration
         return np.asarray(np.sign(self.acceleration) * np.clip(left, 0.0, np.abs(self.acceleration)))
@@ -87,7 +86,7 @@ class PistonPlanes:
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> PistonMotion:
-        """Return what moves them, and walls with a prescribed motion; see `PistonMotion`."""
+        """Return the mover of the pistons and of walls with a prescribed motion; see `PistonMotion`."""
         return PistonMotion(records, before, ends, motions, self, smallest)
 
 
@@ -124,7 +123,7 @@ class PistonMotion(WallTranslation):
         return self.state.copy()
 
     def recall(self, state: FloatArray) -> None:
-        """Return to an earlier `state`. Raises PhysicsError if it is that of other pistons."""
+        """Return to an earlier `state`. Raises PhysicsError if it belongs to other pistons."""
         if state.shape != self.state.shape:
             raise PhysicsError("the checkpoint does not state where the pistons of the scene are")
         self.state[:] = state
@@ -132,7 +131,7 @@ class PistonMotion(WallTranslation):
 
     @property
     def longest_step(self) -> float:
-        """The longest step (s) in which pistons move by less than the bodies resolve; infinite at rest."""
+        """The longest step (s) in which pistons move by at most `MOST_MOVED` or `MOST_FALLEN`; infinite at rest."""
         a, u = np.abs(self._pistons.acceleration), np.abs(self.state[:, 1])
         reach, fall = MOST_MOVED * self._smallest, MOST_FALLEN * self._smallest
         with np.errstate(divide="ignore"):
@@ -142,7 +141,7 @@ class PistonMotion(WallTranslation):
         return float(longest.min())
 
     def place(self, time: float) -> None:
-        """Write where the pistons are; see `WallTranslation`."""
+        """Write the places of the pistons; see `WallTranslation`."""
         super().place(time)
         self._write()
 
@@ -151,7 +150,7 @@ class PistonMotion(WallTranslation):
         self._begun_state[:] = self.state
         self._drift, self._booked = dt, booked
         begun = super().begin(before, time, dt, booked)
-        middle = self.state[:, 0] + 0.5 * dt * self.state[:, 1]  # where they would be
+        middle = self.state[:, 0] + 0.5 * dt * self.state[:, 1]  # displacements expected in the middle of the step
         self._pistons.acceleration = self._pistons.loaded(middle)
         self._pistons.acceleration = self._pistons.limited(self.state[:, 1], dt)
         self._kick(booked)
@@ -188,7 +187,7 @@ class PistonMotion(WallTranslation):
         self._write()
 
     def accelerate(self) -> FloatArray:
-        """Return the velocities of other walls, whose impulses do the work; see `WallTranslation`."""
+        """Return the velocities of the other walls, for the work of impulses on them; see `WallTranslation`."""
         velocity = super().accelerate().copy()
         velocity[self._rows] = 0.0
         self._write()
@@ -205,7 +204,7 @@ class PistonMotion(WallTranslation):
         return float(work.sum())
 
     def rest(self) -> None:
-        """Keep the accelerations of the pistons, which the correction of overlaps moves."""
+        """Keep the accelerations of the pistons: the correction of overlaps moves pistons, too."""
         super().rest()
         self._accelerate()
 
@@ -218,7 +217,7 @@ class PistonMotion(WallTranslation):
         self.state[:, 1] += self._pistons.acceleration * duration
 
     def _load(self) -> None:
-        """Load the pistons where they are, for the next step."""
+        """Compute the loads on the pistons at their present places, for the next step."""
         self._pistons.acceleration = self._pistons.loaded(self.state[:, 0])
         self._write()
 
@@ -236,5 +235,5 @@ class PistonMotion(WallTranslation):
         self._acceleration[self._rows] = self._pistons.acceleration[:, None] * self._pistons.normals
 
     def _read(self) -> None:
-        """Read the velocities, which contacts have changed."""
+        """Read the velocities that contacts have changed."""
         self.state[:, 1] = (self._velocity[self._rows] * self._pistons.normals).sum(axis=1)

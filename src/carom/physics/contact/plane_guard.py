@@ -7,7 +7,8 @@ it, the body is moved back along the straight line between both positions, to wh
 in front of all planes is convex, so this position is in front of each of them, also in a corner. The impact follows at
 the end of the step, like any other impact.
 
-The potential of the body changes by -m a·Δx, which is booked as stabilisation, as for a position correction.
+The potential of the body changes by -m a·Δx, which is booked as stabilisation, like the energy of a position
+correction.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
 MIN_BODIES_PER_TASK = 5000
 DEPTH = 1e-6  # overlap, in radii, of a body put back on a plane; enough to be detected, too small to be visible
-ROUNDING = 8  # units in the last place of the coordinates that are added to that overlap
-DEEPEST = 0.5  # largest such overlap, in radii, where coordinates are coarse
+ROUNDING = 8  # units in the last place of the coordinates, added to the overlap `DEPTH`
+DEEPEST = 0.5  # largest overlap after a body is put back, in radii, where coordinates are coarse
 
 
 class PlaneGuard(OptionalPart):
@@ -89,7 +90,7 @@ class PlaneGuard(OptionalPart):
             return False
         crossed = (self._planes.heights(position) < 0.0) & (self._planes.heights_before(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
-        if len(stopped) == 0:  # bodies behind a plane now were behind it at the start
+        if len(stopped) == 0:  # a body that is behind a plane now was already behind it at the start
             return False
         places = self._first_touch(stopped, crossed[stopped])
         self._stopped.append((stopped, places - position[stopped]))
@@ -119,7 +120,7 @@ class PlaneGuard(OptionalPart):
                 fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0).min(axis=1)
         places: FloatArray = start + np.clip(fraction, 0.0, 1.0)[:, None] * (end - start)
         lost = ((self._planes.heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
-        places[lost] = start[lost]  # rounding moved bodies with a radius of only a few units in the last place
+        places[lost] = start[lost]  # bodies with a radius of only a few units in the last place, which rounding moved
         return places
 
     def _fraction_before_walls(

@@ -1,8 +1,8 @@
 """The reactions of the contacts of a step: torques on bodies, and accelerations that contacts support.
 
-A body's spin changes by impacts and by contacts that last. An impact has an angular impulse, whatever the length of the
-step. Divided by the step, it would be a torque that doubles when the step is halved, so only contacts that last have
-torques.
+A body's spin changes by impacts and by contacts that last. The angular impulse of an impact does not depend on the
+length of the step. Divided by the step, it would give a torque that doubles when the step is halved, so only lasting
+contacts have torques.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 
 MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # bodies for about 10 µs of work
-NO_SUPPORT = np.empty(0)  # m/s², without lasting contacts
-_ROUNDING = 8.0 * np.finfo(np.float64).eps  # relative, of N m s or rad/s: a cross product, three factors and a sum
+NO_SUPPORT = np.empty(0)  # m/s², result of a step without lasting contacts
+# relative rounding error of angular impulses and spins: a cross product, three factors and a sum
+_ROUNDING = 8.0 * np.finfo(np.float64).eps
 
 
 class Torques:
@@ -53,11 +54,11 @@ class ImpactTurns:
 
     sum: FloatArray  # (n, 3) N m s, sum of the angular impulses on each body
     size: FloatArray  # (n,) N m s, sum of their magnitudes
-    count: IntArray  # (n,) of impacts
+    count: IntArray  # (n,) number of impacts
 
     @classmethod
     def of(cls, impacts: Impacts, solver: ContactSolver, bodies: Bodies) -> ImpactTurns | None:
-        """Add up the impacts of the drift and the impacts that the solver resolved at its end; None without impacts."""
+        """Add up the impacts of the drift and those that the solver resolved after it; None without impacts."""
         late = solver.approach > solver.rest_speed
         late &= columns(solver.recorded, ("normal_impulse",))[:, 0] > 0.0
         early = impacts.approach > impacts.rest_speed
@@ -77,7 +78,7 @@ class ImpactTurns:
     def take_from(
         self, torque: FloatArray, angular_acceleration: FloatArray, dt: float, spin: FloatArray, inertia: FloatArray
     ) -> None:
-        """Remove the torques of the impacts from the torques of a step of dt s, in place; contacts that last remain.
+        """Remove the torques of the impacts from the torques of a step of dt s, in place; only lasting contacts remain.
 
         The remaining change of a body's spin is 0 within the rounding of its impacts. ``spin``, (n, 3) rad/s, is the
         spin after the step.
@@ -93,7 +94,7 @@ class ImpactTurns:
 
 
 def _turns(geometry: RecordArray[object], given: RecordArray[object], which: BoolArray) -> FloatArray:
-    """Return the angular impulses of some contacts on both bodies, (k, 2, 3) N m s."""
+    """Return the angular impulses of some contacts on both of their bodies, (k, 2, 3) N m s."""
     normal, arms = (columns(geometry, names)[which] for names in (("nx", "ny", "nz"), ("arm_i", "arm_j")))
     friction = columns(given, ("friction_x", "friction_y", "friction_z"))[which]
     return turning_impulses(normal, arms, friction, angular_impulses_of(given)[which])

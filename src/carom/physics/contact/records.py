@@ -1,7 +1,7 @@
 """The fields of the records of contacts, impacts and bodies; `constraints` lays most of them out in memory.
 
 Optional parts add fields: a law that resists rolling, walls, moving walls, guided walls, and a sheared box. This module
-imports nothing of contacts, so that each part names the fields that it needs.
+imports no other module of contacts, so each part can name the fields that it needs.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class ContactRecord(ContactGeometry, Protocol):
 
     normal_mass: float  # kg, effective masses for normal and tangential impulses
     tangent_mass: float
-    velocity_bias: float  # m/s, c: the contact may close at up to c; if c is negative, it has to separate
+    velocity_bias: float  # m/s, c: largest speed at which the contact may close; if negative, it must separate
     normal_impulse: float  # N s, components λ_n and λ_t of the impulse
     friction_x: float
     friction_y: float
@@ -114,12 +114,12 @@ class ContactStateRecord(Protocol):
     overlap: float  # m, present overlap; negative for a gap
     detected_overlap: float  # m, overlap before the position correction; 0 for a gap
     rest_speed: float  # m/s, largest approach speed of a contact at rest
-    approach_speed: float  # m/s, before the impulses
-    normal_before: float  # m/s, v_n and u before `hold`
+    approach_speed: float  # m/s, closing speed before the impulses
+    normal_before: float  # m/s, normal velocity v_n and slip u before `hold`
     slip_x: float
     slip_y: float
     slip_z: float
-    restitution_loss: float  # J, ledger of the contact, as in `LedgerRecord`
+    restitution_loss: float  # J, energies that the contact lost, as in `LedgerRecord`
     friction_loss: float
     stabilisation_gain: float
     push_x: float  # m, Σ δ n over the position corrections
@@ -142,7 +142,7 @@ class BodyStateRecord(Protocol):
     wz: float
     inverse_mass: float  # 1/kg
     inverse_inertia: float  # 1/(kg m²)
-    dvx: float  # m/s, the changes
+    dvx: float  # m/s, changes of the velocities
     dvy: float
     dvz: float
     dwx: float  # rad/s
@@ -178,7 +178,7 @@ class PushedBodyRecord(Protocol):
 
 
 class LoadRecord(Protocol):
-    """The impulses of contacts on a body in the last kick, over its mass and the kick."""
+    """The impulses of contacts on a body in the last kick, divided by its mass and the kick."""
 
     x: float  # m/s², acceleration Σ J/(m h) by the body's contacts
     y: float
@@ -194,15 +194,15 @@ class LoadRecord(Protocol):
 class SearchRecord(Protocol):
     """A contact in conjugate gradients."""
 
-    step_normal: float  # N s, s: change of the impulses
+    step_normal: float  # N s, s: change of the impulses so far
     step_x: float
     step_y: float
     step_z: float
-    direction_normal: float  # N s, d
+    direction_normal: float  # N s, d: direction of the search
     direction_x: float
     direction_y: float
     direction_z: float
-    residual_normal: float  # m/s, r
+    residual_normal: float  # m/s, r: residual
     residual_x: float
     residual_y: float
     residual_z: float
@@ -240,14 +240,14 @@ class PieceResultsRecord(Protocol):
     """Results of a phase for one piece of contacts."""
 
     residual: float  # m/s, largest change or violation; for position corrections, 1 if another iteration is needed
-    residual_norm: float  # r·z, of conjugate gradients
+    residual_norm: float  # r·z of conjugate gradients
     exact_norm: float  # r·z over the contacts that are to converge to rounding
     largest_push: float  # N s, largest impulses of either sign
     largest_pull: float
     slope: float  # J, s·c for the line search
     step_limit: float  # largest α in the line search at which no impulse is attractive
     fastest: float  # m/s, the fastest approach
-    restitution_loss: float  # J, ledger of the piece
+    restitution_loss: float  # J, energies that the contacts of the piece lost
     friction_loss: float
     stabilisation_gain: float
     any_rests: bool  # whether any contact is at rest
@@ -257,12 +257,12 @@ class PieceResultsRecord(Protocol):
 class BlockSumsRecord(Protocol):
     """Sums of the line search over a block of bodies."""
 
-    slope: float  # J, along the impulses
+    slope: float  # J, slope along the change of the impulses
     curvature: float
 
 
 class MeasuredRecord(LedgerRecord, BlockSumsRecord, Protocol):
-    """A contact whose island may have to return energy, and its ledger before the audit."""
+    """A contact whose island may have to return energy, and the contact's losses before the audit."""
 
 
 class IslandRecord(BlockSumsRecord, Protocol):
@@ -283,16 +283,16 @@ class SettingsRecord(Protocol):
     alpha: float  # α of the line search and of conjugate gradients
     beta: float  # β of conjugate gradients, the weight of the last direction in the next one
     negligible: float  # m/s; a slower approach is not a violation
-    tolerance: float  # in multiples of `tolerated`
+    tolerance: float  # residual at which iterations end, in multiples of `tolerated`
     fastest: float  # m/s, fastest approach before the impulses of impacts
     any_rests: bool  # whether any contact was at rest before these impulses
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
-    solved: float  # fraction of the first r·z in a round of conjugate gradients at which the round ends
+    solved: float  # a round of conjugate gradients ends when r·z falls to this fraction of its first value
     meshed_iterations: int  # most iterations of conjugate gradients in a round with meshed islands; 0 for no limit
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
-    spares_meshed: bool  # whether the further iterations ignore contacts of meshed islands
+    spares_meshed: bool  # whether those further iterations ignore contacts of meshed islands
     ignores_meshed: bool  # whether contacts of meshed islands are ignored now
     slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
     is_lenient: bool  # whether contacts of meshed islands may close by their rest speed
@@ -307,7 +307,7 @@ class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
 
     i: int  # i < j
     j: int
-    time: float  # s from the beginning of the drift, time of the impact
+    time: float  # time of the impact, s from the beginning of the drift
     clock: float  # s, clock σ of the straight paths; see `events.trajectories`
     approach: float  # m/s, closing speed
     rest_speed: float  # m/s, closing speed up to which a contact is at rest
@@ -318,7 +318,7 @@ class ImpactRecord(ContactGeometry, LedgerRecord, Protocol):
     vjy: float
     vjz: float
     normal_impulse: float  # N s
-    friction_x: float  # N s, the tangential impulse that acts on j
+    friction_x: float  # N s, tangential impulse that acts on j
     friction_y: float
     friction_z: float
     x: float  # m, the contact point

@@ -40,9 +40,9 @@ class ContactSnapshot:
     """The contacts of a step, each pair once, in the order of the graph."""
 
     graph: CollisionGraph
-    approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest where a pair has several
+    approach: FloatArray  # (m,) m/s, closing speed before the impulses; if a pair has several, the largest
     rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
-    impacts: int  # number of contacts that closed faster; a pair may count more than once
+    impacts: int  # number of contacts that closed faster than `rest_speed`; a pair may count more than once
     _order: IntArray | None = None  # (l,) order of contacts and impacts by pair; None without impacts
     _first: IntArray | None = None  # (m,) index of each pair's first entry in `_order`
 
@@ -123,7 +123,7 @@ class ContactSnapshot:
         return colour_rest(pairs, colours, in_time, inverse_mass), None
 
     def sums(self, late: FloatArray, impacts: FloatArray) -> FloatArray:
-        """Sum rows of the contacts at the end and of the impacts, for each contact."""
+        """Return, for each contact, the sum of its row in ``late`` and the rows of its impacts."""
         if self._order is None or self._first is None:
             return late
         return np.add.reduceat(np.concatenate((late, impacts))[self._order], self._first)
@@ -146,12 +146,12 @@ class SnapshotSource:
         self._impacts = NO_IMPACTS
 
     def set_step(self, contacts: OrderedContacts, idle: IdleContacts | None, impacts: Impacts, dt: float) -> None:
-        """Set the contacts at the end of a step of dt s, contacts without a solver, and the impacts of the drift."""
+        """Set the contacts at the end of a step of dt s, contacts that no solver has, and the impacts of the drift."""
         self._contacts, self._idle, self._impacts, self._dt = contacts, idle, impacts, dt
         self._snapshot = None
 
     def set_quiet(self, contacts: OrderedContacts) -> None:
-        """Set steps without contacts, after a step without contacts."""
+        """Note a step without contacts that follows a step without contacts."""
         if self._snapshot is None or self._snapshot is EMPTY_SNAPSHOT:  # the previous step's snapshot is empty, too
             self.set_step(contacts, None, NO_IMPACTS, 0.0)
 
@@ -169,7 +169,7 @@ class SnapshotSource:
         return self._snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Store the ledger of this step; the returned function returns the entries of each contact, (m, 3) J."""
+        """Store the losses of this step; the returned function gives the losses of each contact, (m, 3) J."""
         snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger.copy()
         late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is for idle contacts
         return lambda: snapshot.sums(late[place], impacts)
@@ -184,7 +184,7 @@ def late_contacts(
     states: RecordArray[ContactStateRecord],
     normals: FloatArray,
 ) -> tuple[ContactSnapshot, IntArray]:
-    """Copy the contacts at the end of a step that touched then or carry an impulse, without impacts during the step.
+    """Copy the contacts that touch or carry an impulse at the end of a step, without impacts during the step.
 
     The arrays contain all m contacts, with near ones: sorted pairs, indices of their records in ``place``, and normals
     before the position correction. Return a snapshot, and the indices of the records of its contacts, (k,).

@@ -1,10 +1,10 @@
 """The solids of a scene in kernels: planes, and walls of any shape.
 
-Kernels refer to a solid by its number and use its tangent plane at the point nearest to a body. With planes alone,
-``surface`` contains their normals and ``offset`` their distances from the origin, which are the tangent planes. With
-walls, ``surface`` contains a record for each solid. The type of the records names the functions of all shapes
-(`WallShape`), and Numba selects the functions by that type when it compiles a kernel. Kernels of scenes without walls
-therefore do not contain them.
+Kernels refer to a solid by its number and use its tangent plane at the point nearest to a body. In scenes with planes
+alone, ``surface`` contains their normals and ``offset`` their distances from the origin. With walls, ``surface``
+contains a record for each solid. The type of the records names the functions of all shapes (`WallShape`), and Numba
+selects the functions by that type when it compiles a kernel. Kernels of scenes without walls therefore do not contain
+them.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ from carom.scene.wall_shapes import Facets, function_of, shape_called
 
 _MARK = "walls_"  # prefix of the first field's name in the records
 _PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
-_nearest: dict[str, Callable[..., Any]] = {}  # nearest-point functions by the name of that field
-_touches: dict[str, Callable[..., Any]] = {}  # functions `touches` by that name
+_nearest: dict[str, Callable[..., Any]] = {}  # nearest-point functions, by the name of the marking field
+_touches: dict[str, Callable[..., Any]] = {}  # functions `touches`, by the name of the marking field
 ARC_PASSES = 3  # passes of Newton's method; each doubles the number of correct digits
 LARGEST_ARC = 0.5  # fraction of the focal distance by which a body may move along a wall in a step
 
@@ -53,23 +53,23 @@ class GuidedPlanes(Protocol):
 
     @property
     def rows(self) -> IntArray:
-        """Their numbers among the solids, (k,)."""
+        """Numbers of the guided planes among the solids, (k,)."""
         ...
 
     @property
     def normals(self) -> FloatArray:
-        """The normals, (k, 3)."""
+        """Normals of the guided planes, (k, 3)."""
         ...
 
     @property
     def largest_acceleration(self) -> float:
-        """The largest of their accelerations along their normals in m/s², without contacts."""
+        """The largest acceleration of a guided plane along its normal in m/s², without contacts."""
         ...
 
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> WallTranslation:
-        """Return what moves them, and the walls with a prescribed motion, through the phases of a step.
+        """Return the mover of these planes, and of walls with a prescribed motion, through the phases of a step.
 
         ``smallest`` is the radius of the smallest body in m; for the other parameters see `WallTranslation`.
         """
@@ -81,7 +81,7 @@ class SolidsWithWalls(HalfSpaces):
     """The half-spaces and walls of a scene with walls; ``normal`` and ``offset`` have rows of zeros for walls."""
 
     records: Records  # (p,), followed by the facets of walls and the nodes over them, as in `facets`
-    before: Records  # (p,) records at the beginning of the step, if walls translate
+    before: Records  # (p,) records at the beginning of the step; used if walls translate
     motions: Sequence[WallMotion | None]  # (p,)
     solid_of_end: IntArray  # (p + f,) the number of each solid, and of the wall of each facet
     guided: GuidedPlanes | None = None  # the planes that contacts move, if any
@@ -167,7 +167,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
     faceted = [(k, shape_called(wall.shape)) for k, wall in enumerate(scene.wall, start=len(flat))]
     facets = {k: shape.facets(scene.wall[k - len(flat)].section) for k, shape in faceted if shape.facets is not None}
     parameters = [_parameters(scene, wall) for wall in scene.wall]
-    # fields of all shapes, so that the records have one type for a set of shapes
+    # records have the fields of all shapes, so that a set of shapes has one type of record
     names = sorted({name for shape in shapes for name in shape_called(shape).fields})
     spins = np.array([_spin_of(wall) for wall in scene.wall]).reshape(-1, len(MOTION))
     names += [*(MOTION if spins.any() else ()), *(TRANSLATION if translates else ()), *(TREE if facets else ())]
@@ -230,9 +230,9 @@ def _with_facets(walls: Records, facets: Mapping[int, Facets]) -> Records:
 
 
 def _parameters(scene: Scene, wall: Wall) -> Mapping[str, float]:
-    """Return the fields of a wall; where space repeats, it is endless."""
+    """Return the fields of a wall; along periodic axes, the wall is endless."""
     shape, size = shape_called(wall.shape), scene.domain.size or (0.0, 0.0, 0.0)
-    if shape.facets is not None:  # they have the fields
+    if shape.facets is not None:  # the facets have the fields
         return {}
     values = dict(shape.parameters(wall.section))
     for axis in scene.domain.repeating:
@@ -302,7 +302,7 @@ def _either(kind: int, one: Callable[..., Any], other: Callable[..., Any]) -> Ca
 def nearest_point(
     surface: FloatArray, solid: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
-    """Return the values of `WallShape.nearest` for a solid in a scene with walls."""
+    """Return, for a solid in a scene with walls, the values that `WallShape.nearest` defines."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -333,9 +333,9 @@ def _touches_in_frame(surface: FloatArray, solid: int, x: float, y: float, z: fl
 
 @with_field(TREE[0], _touches_in_frame)
 def touches_here(surface: FloatArray, solid: int, x: float, y: float, z: float) -> bool:
-    """Return whether a body with its centre at (x, y, z) m may touch this facet; always, where no wall has facets.
+    """Return whether a body with its centre at (x, y, z) m may touch this facet; True if no wall has facets.
 
-    The nearest point of the facet may belong to a neighbour.
+    The answer is False if the nearest point belongs to a neighbouring facet.
     """
     return True
 
@@ -367,7 +367,7 @@ def _bias_on_curve(
 ) -> tuple[float, Vector]:
     """Find `bias_along_wall` by Newton's method, from the condition that the body touches the wall after the drift.
 
-    An overlap stays as it is, as at a plane: the correction of positions removes it without a velocity.
+    As at a plane, an overlap is kept: the position correction removes it without a velocity.
     """
     (x, y, z), (nx, ny, nz), (tx, ty, tz) = place, normal, tangential
     _, _, _, distance, focal = nearest_point(surface, solid, x, y, z)
@@ -397,11 +397,11 @@ def bias_along_wall(
     tangential: Vector,
     drift: float,
 ) -> tuple[float, Vector]:
-    """Return the speed at which a body may close to just touch a wall after a drift (s), and the normal there.
+    """Return the closing speed at which a body just touches a wall after a drift (s), and the normal there.
 
-    A body that overlaps the wall keeps its overlap. ``bias`` is the speed at which it would just touch a plane,
-    ``place`` its centre in m, and ``tangential`` its velocity along the wall; the normal points to the wall. Speeds are
-    in m/s.
+    A body that overlaps the wall keeps its overlap. ``bias`` is the speed at which the body would just touch a plane,
+    ``place`` is its centre in m, and ``tangential`` is its velocity along the wall; the normal points to the wall.
+    Speeds are in m/s.
     """
     return bias, normal
 
@@ -441,7 +441,7 @@ def add_arc_speeds(
     """Add the closing speeds of bodies that roll along walls to the speeds of the contacts [lo, hi).
 
     After a straight drift of dt s along a wall with the radius of curvature f, a body closes faster by v_t² dt/f than
-    on a plane. ``moving`` are positions (m) and velocities (m/s), the walls, and dt.
+    on a plane. ``moving`` holds positions (m), velocities (m/s), the walls, and dt.
     """
     x, v, surface, dt = moving
     n = len(x)

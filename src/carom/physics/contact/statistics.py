@@ -1,4 +1,4 @@
-"""Contact statistics of a step: numbers, hardest impact, deepest overlap, energies, and the limits that it reached.
+"""Contact statistics of a step: numbers, hardest impact, deepest overlap, energies, and limits that the step reached.
 
 Statistics are computed in every step, block by block, from the records of the solver. The graph of the contacts is
 built only on demand (`snapshot`).
@@ -35,7 +35,7 @@ class BlockCountsRecord(LedgerRecord, Protocol):
     hardest: float  # J
     hardest_i: float  # ends of the hardest impact
     hardest_j: float
-    deepest: float  # deepest overlap over the smaller radius
+    deepest: float  # deepest overlap, divided by the smaller radius
     deepest_i: float  # ends of the deepest overlap
     deepest_j: float
 
@@ -46,9 +46,10 @@ BLOCK_COUNTS = dtype_of(BlockCountsRecord)
 class ContactStatistics(NamedTuple):
     """Statistics of a step's contacts that touch or carry an impulse, and the work of all contacts."""
 
-    work: FloatArray  # (k, 3) J, ledger of each block of contacts
+    work: FloatArray  # (k, 3) J, energies of each block of contacts by entry of the ledger
     contacts: int
-    impacts: int  # every impact in the drift, and contacts at the end of the step that are faster than the rest speed
+    # number of impacts in the drift, and of contacts at the end of the step that close faster than the rest speed
+    impacts: int
     struck: float  # J, Σ ½ μ v_n² over the counted impacts
     hardest: float  # J, energy of the hardest impact; 0 without impacts
     hardest_pair: tuple[int, int]  # ends of the hardest impact, or of the first of equally hard ones
@@ -64,7 +65,7 @@ class ContactStatistics(NamedTuple):
         ends: Ends,
         team: Team,
     ) -> ContactStatistics:
-        """Return the statistics of contacts; for the arrays see `ConstraintSystem`."""
+        """Return the statistics of contacts; for the arrays, see `ConstraintSystem`."""
         blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
         counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, count_block, *counted)
@@ -112,7 +113,7 @@ class ContactStatistics(NamedTuple):
         mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
         first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
         deepest_pair = self.deepest_pair
-        if self.deepest == 0.0 and len(log) > 0:  # the first pair that touched, if none overlaps
+        if self.deepest == 0.0 and len(log) > 0:  # if no pair overlaps, the first pair that touched
             touching = int(log["i"][order[0]]), int(log["j"][order[0]])
             deepest_pair = touching if self.contacts == 0 else min(touching, deepest_pair)
         return self._replace(
@@ -177,8 +178,8 @@ def _add_impacts(
 ) -> tuple[int, float, float, int, int]:
     """Add impacts; ``order`` has their indices, sorted by pair and then by time.
 
-    Return the number of pairs without a contact at the end; the energies (J) of the pairs' hardest impacts, summed
-    without energies that contacts at the end already count; and the energy and the ends of the hardest impact.
+    Return the number of pairs without a contact at the end; the sum of the energies (J) of the pairs' hardest impacts,
+    without energies that are already counted for contacts at the end; and the energy and ends of the hardest impact.
     """
     further, energy, hardest, hardest_i, hardest_j = 0, 0.0, 0.0, 0, 0
     row = 0
@@ -248,7 +249,7 @@ def _comes_first(value: float, i: float, j: float, largest: float, first: float,
     return value > largest or (value == largest and comes_before(i, j, first, second))
 
 
-DEEP_OVERLAP = 0.1  # overlap, in smaller radii, that is too deep; rigid spheres do not overlap at all
+DEEP_OVERLAP = 0.1  # overlap, in smaller radii, from which a run warns; rigid spheres do not overlap at all
 OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius"
 
 
@@ -257,12 +258,12 @@ def limits_of(
     *,
     serial_stage: bool,  # whether contacts need more colours than there are parallel stages
     too_few_sweeps: bool,  # whether contacts were still closing after the sweeps
-    of_parts: Iterable[str],  # of optional parts
+    of_parts: Iterable[str],  # warnings of optional parts
     deepest: float,  # overlap / smaller radius
 ) -> list[tuple[str, str]]:
     """Return the limits of the method that a step reached: level, `WARN` or `INFO`, and text."""
     reached = []
-    if serial_stage:  # this only costs time
+    if serial_stage:  # the serial stage only costs time
         text = f"More than {OVERFLOW} colours are needed: the remaining contacts are resolved in a last, serial stage."
         reached.append(("INFO", text))
     if too_few_sweeps:

@@ -1,9 +1,9 @@
 """The time at which a contact stops sliding, or a body rolling, so that a step can end there.
 
-Friction ends at that moment: the acceleration of the bodies jumps by Δa. A step of length h that passes it at the
-fraction f moves them too far by ½ Δa h² min(f, 1 - f)², an error that other steps do not show if they end at the same
-time. The prediction is exact under constant forces, and otherwise of second order in the step, so that the error of a
-step that ends there is of fourth order.
+Friction ends at that moment: the acceleration of the bodies jumps by Δa. A step of length h that passes this moment at
+its fraction f moves the bodies too far by ½ Δa h² min(f, 1 - f)². A comparison with other steps does not show this
+error if they end at the same time. The prediction is exact under constant forces. Otherwise its error is of second
+order in the step, and the error of a step that ends at the predicted time is of fourth order.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from carom.physics.bodies import Ends
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.records import ContactRecord
 
-NEGLIGIBLE = 1e-2  # relative to the requested error; a slower motion in a step may end anywhere in it
-SOON = 1e-3  # relative to the next step; a motion that ends earlier may end in it, with 1e-6 of the largest error
+# a motion that moves a body less than this in a step, relative to the requested error, may end anywhere in it
+NEGLIGIBLE = 1e-2
+SOON = 1e-3  # a motion that ends within this fraction of the next step may end in it, with 1e-6 of the largest error
 
 
 class SlidingContacts(NamedTuple):
@@ -29,7 +30,7 @@ class SlidingContacts(NamedTuple):
     place: IntArray  # (m,) index of each contact's record
     contacts: RecordArray[ContactRecord]  # (m,) contacts at the end of the step
     impulse: FloatArray  # (m, 4) N s, components λ_n and λ_t, or (m, 7) with Λ if the law resists rolling
-    kick: float  # s, length of the kick in which they acted
+    kick: float  # s, length of the kick in which the impulses acted
 
 
 def time_to_stick(held: SlidingContacts, ends: Ends, dt: float, tolerance: float) -> float:
@@ -50,7 +51,7 @@ def time_to_stick(held: SlidingContacts, ends: Ends, dt: float, tolerance: float
     force, turn = impulse[:, :1] * n + impulse[:, 1:4], np.cross(impulse[:, 1:4], n)
     resists = impulse.shape[1] > len(IMPULSES)
     torque = impulse[:, 4:] if resists else np.zeros_like(force)
-    # accelerations with the forces and torques of the contacts, which act on j, and on i in the opposite direction
+    # accelerations by all forces, and by the contacts' forces and torques, which act on j and oppositely on i
     a, alpha = ends.acceleration.copy(), np.zeros_like(ends.angular_velocity)
     inverse_mass, inverse_inertia = ends.inverse_mass[:, np.newaxis], ends.inverse_inertia[:, np.newaxis]
     np.add.at(a, j, force * inverse_mass[j])

@@ -4,22 +4,23 @@ At the time t, such a wall is displaced from where the scene puts it by
 
     D(t) = D_k + V_k (t - t_k) + A sin θ,    θ = 2π f t + φ
 
-so its place is not a state: steps and checkpoints need only the time. The velocity V_k lasts from t_k to t_{k+1}, where
-a step ends (`next_change`), so V is constant within each step. Kernels evaluate the shape at x - D. Within a drift that
-begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to it has a
-second derivative of at most |g| + |A| (2π f)². Times of impact follow from both, as for a wall at rest.
+so its place follows from the time alone, and checkpoints do not store it. The velocity V_k lasts from t_k to t_{k+1},
+where a step ends (`next_change`), so V is constant within each step. Kernels evaluate the shape at x - D. Within a
+drift that begins at t₀, the wall is displaced further by r(τ) = D(t₀ + τ) - D(t₀), and the path of a body relative to
+it has a second derivative of at most |g| + |A| (2π f)². Times of impact follow from r and this bound, as for a wall at
+rest.
 
 A contact at rest is held as if kicks moved a wall of infinite mass. In a drift of dt, the wall has its mean velocity
-v̄ = r(dt)/dt, so a held body stays on it. The first kick changes the wall's velocity by v̄ - Ḋ(t₀), and the velocity
-after the last kick is Ḋ(t₀ + dt).
+v̄ = r(dt)/dt, so a held body stays on the wall. The first kick changes the wall's velocity by v̄ - Ḋ(t₀), and the
+velocity after the last kick is Ḋ(t₀ + dt).
 
 All relative velocities contain the velocity of the wall. The ledger books the energy that contacts dissipate, and the
-work on the bodies by the impulses λ_n n + λ_t on the wall,
+work that the wall does on the bodies. With the impulses λ_n n + λ_t on the wall, this work is
 
     W = -(λ_n n + λ_t)·Ḋ
 
-where Ḋ is at t₀ for impulses of the first kick, at the time of the impact for impacts, and at t₀ + dt for impulses of
-the last kick. Records of solids have these fields only in scenes with such walls; see `moving_walls`.
+where Ḋ is evaluated at t₀ for impulses of the first kick, at the time of an impact for its impulse, and at t₀ + dt for
+impulses of the last kick. Records of solids have these fields only in scenes with such walls; see `moving_walls`.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ def _pieces_of(motion: WallMotion) -> FloatArray:
 
 
 def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
-    """Return `WallShape.nearest` of a wall that is displaced by D."""
+    """Return the function `WallShape.nearest` of a wall that is displaced by D."""
 
     def displaced(p: Any, x: float, y: float, z: float) -> Any:
         return nearest(p, x - p.motion_shift_x, y - p.motion_shift_y, z - p.motion_shift_z)
@@ -87,15 +88,15 @@ def in_frame_of_wall(nearest: Callable[..., Any]) -> Callable[..., Any]:
 class WallTranslation:
     """Moves the walls of a scene through the phases of a step.
 
-    The places of these walls follow from the time. A subclass with walls that contacts move (`guided_walls`) also
+    The places of these walls follow from the time. A subclass for walls that contacts move (`guided_walls`) also
     replaces `forget`, `memory`, `recall`, `longest_step`, `push` and `settle`.
 
     Parameters
     ----------
     records, before
-        (p,) of all solids, with the fields `TRANSLATION`; it writes both, the second as a step begins.
+        Records of all solids, (p,), with the fields `TRANSLATION`. Both are written, ``before`` as a step begins.
     ends
-        The velocities and accelerations of the solids, which it writes.
+        The velocities and accelerations of the solids, which are written.
     motions
         The motion of each solid; None if it has none.
     """
@@ -105,7 +106,7 @@ class WallTranslation:
         self._before = before
         bodies = len(ends.velocity) - len(records)
         changing = {id(motion): motion for motion in motions if motion and motion.times}
-        self._pieces = [  # the solids of each motion
+        self._pieces = [  # solids and pieces of each motion
             (np.flatnonzero([other is motion for other in motions]), _pieces_of(motion)) for motion in changing.values()
         ]
         self._changes = sorted({float(time) for _, pieces in self._pieces for time in pieces[1:, -1]})  # s
@@ -137,7 +138,7 @@ class WallTranslation:
         return self._begun
 
     def begin_drift(self) -> None:
-        """Leave the velocities of walls to `velocity_in_drift`."""
+        """Set the velocities of walls to 0: in a drift, `velocity_in_drift` adds them."""
         self._velocity[:] = self._acceleration[:] = 0.0
 
     def arrive(self, time: float) -> None:
@@ -155,7 +156,7 @@ class WallTranslation:
         return self._velocity
 
     def next_change(self, time: float) -> float:
-        """Return when the velocity of a wall next changes after a time, both in s; infinite if it never does."""
+        """Return the next time (s) after ``time`` (s) at which a wall's velocity changes; infinite if it never does."""
         following = bisect_right(self._changes, time)
         return self._changes[following] if following < len(self._changes) else np.inf
 
@@ -164,22 +165,22 @@ class WallTranslation:
 
     @property
     def memory(self) -> FloatArray | None:
-        """A copy of the state of the walls that contacts move; None without them."""
+        """A copy of the state of walls that contacts move; None if there are no such walls."""
         return None
 
     def recall(self, state: FloatArray) -> None:
-        """Return to an earlier `memory`."""
+        """Restore an earlier `memory`."""
 
     @property
     def longest_step(self) -> float:
-        """The longest step (s) in which walls move by less than the bodies resolve; infinite if contacts move none."""
+        """The longest step (s) for the motion of walls that contacts move; infinite without such walls."""
         return np.inf
 
     def push(self, distances: FloatArray) -> None:
-        """Move the walls that contacts move along their normals, (k,) m, for the correction of overlaps."""
+        """Displace guided walls along their normals, (k,) m, for the correction of overlaps."""
 
     def settle(self) -> float:
-        """Note the velocities that contacts give walls in the step; return their work on the bodies in J."""
+        """Note the velocities that contacts gave walls in the step; return the walls' work on the bodies in J."""
         return 0.0
 
     def _set_velocities(self, time: float) -> None:
@@ -190,7 +191,7 @@ class WallTranslation:
                 self._records[name][solids] = value
 
     def rest(self) -> None:
-        """Give the walls no acceleration: the corrections of positions do the work of the bodies' forces only."""
+        """Give the walls no acceleration, so that position corrections book only the work of the bodies' forces."""
         self._acceleration[:] = 0.0
 
 
@@ -233,7 +234,7 @@ def work_at_velocities(
     velocity: FloatArray,
     bodies: int,
 ) -> float:
-    """Return the work in J that walls do on a number of bodies by the impulses of contacts.
+    """Return the work (J) that walls do on the first ``bodies`` ends by the impulses of contacts.
 
     ``impulses``, (m,), may be the records of the contacts; ``velocity`` is the velocity of the solids, (p, 3) m/s.
     """
@@ -262,7 +263,7 @@ def work_in_drift(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -> 
 
 @inline
 def _with_work_at(velocity: Vector, contact: Any, given: Any, work: float) -> float:
-    """Add W of the impulses ``given`` at a contact to a sum of works in J; the wall's velocity is in m/s."""
+    """Add the work W by the impulses ``given`` at a contact to ``work`` (J); the wall's velocity is in m/s."""
     vx, vy, vz = velocity
     work -= given.normal_impulse * (contact.nx * vx + contact.ny * vy + contact.nz * vz)
     work -= given.friction_x * vx + given.friction_y * vy + given.friction_z * vz
@@ -335,8 +336,7 @@ def _velocity(surface: Any, solid: int, time: float) -> Vector:
 def velocity_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
     """Return the velocity of a wall in m/s at a time (s) since the drift began.
 
-    If contacts move the wall, the velocity is, as for bodies, the velocity of the straight path: the acceleration is in
-    `Ends`.
+    If contacts move the wall, this is the velocity of its straight path, as for bodies; `Ends` has the acceleration.
     """
     return 0.0, 0.0, 0.0
 

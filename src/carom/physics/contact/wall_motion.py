@@ -18,8 +18,9 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 NO_VELOCITIES: FloatArray = np.zeros((0, 3))
-# rad, largest turn of a contact's normal in a step where walls alone press. On a chord, a body with the tangential
-# velocity v advances by the angle arcsin(v dt/f), and is ahead by a sixth of its square: 7 × 10⁻⁵ of its path.
+# rad, largest turn of a contact's normal in a step if walls alone press. A body with the tangential velocity v moves
+# along a chord. It advances by the angle arcsin(v dt/f), which is too large by a sixth of its square: 7 × 10⁻⁵ of the
+# path.
 LARGEST_TURN = 0.02
 
 
@@ -39,10 +40,11 @@ class MovingWalls(OptionalPart):
             moving = solids.records[ends], solids.before[ends], bodies.ends, motions
             guided, smallest = solids.guided, float(bodies.radius.min())
             self._translation = guided.motion(*moving, smallest) if guided else WallTranslation(*moving)
-            yields = bodies.ends.inverse_mass[len(bodies) :]  # 1/kg, of solids that contacts move
+            # 1/kg, inverse masses of the solids; not 0 if contacts move them
+            yields = bodies.ends.inverse_mass[len(bodies) :]
             pull = np.sqrt(np.square(bodies.ends.acceleration[len(bodies) :]).sum(axis=1))[yields > 0.0]
             self.pressing_energy = float((pull / yields[yields > 0.0]).sum()) * smallest
-        self._velocity = NO_VELOCITIES  # (p, 3) m/s, of solids that translate, at which their work is computed
+        self._velocity = NO_VELOCITIES  # (p, 3) m/s, velocities of translating solids for the computation of their work
         self._work = 0.0  # J, work of moving walls on bodies in the step
         self.entries = (ENTRY,) if solids.moves else ()
 
@@ -53,7 +55,7 @@ class MovingWalls(OptionalPart):
             self._translation.forget()
 
     def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
-        """Add the state of the walls that contacts move."""
+        """Add the state of walls that contacts move."""
         return replace(memory, pistons=self._translation.memory) if self._translation else memory
 
     def recall(self, memory: ContactCheckpoint) -> None:
@@ -109,7 +111,7 @@ class MovingWalls(OptionalPart):
             self._translation.arrive(step.time)
 
     def corrected(self, step: PresentStep) -> None:
-        """Push guided walls by the distances of the correction of overlaps."""
+        """Displace guided walls by the distances that the correction of overlaps moved them."""
         if self._translation:
             self._translation.push(step.pushed)
 
@@ -126,7 +128,7 @@ class MovingWalls(OptionalPart):
     def acted(self, step: PresentStep) -> None:
         """Add the work of impacts and of the last kick.
 
-        Walls then have no acceleration: the corrections of positions do the work of the bodies' forces only.
+        Walls then have no acceleration, so that position corrections book only the work of the bodies' forces.
         """
         self._add(self._contacts.solver.recorded)
         self._add(self._contacts.solver.contacts)

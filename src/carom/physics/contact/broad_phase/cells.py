@@ -7,11 +7,11 @@ have many more cells, they are widened or hashed. The cost of a small cluster in
 bodies, not on its extent.
 
 Visiting a row of cells costs as much as testing some bodies. Where most cells are empty, they are therefore broader
-across the rows and shorter along them, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). In
-dense regions such cells cost a tenth more.
+across the rows and shorter along the rows, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms).
+In dense regions such cells cost a tenth more.
 
-Bodies rarely change cells from step to step. Sorted in the order of the previous step, they are read and written nearly
-in order. Renumbering the bodies along a space-filling curve would gain nothing more.
+Bodies rarely change cells from step to step. If they are sorted in the order of the previous step, bodies are read and
+written nearly in order. Renumbering the bodies along a space-filling curve would gain nothing more.
 
 Rejected: always hashing (neighbours in space are then anywhere in memory); one cell width for all radii (n² candidates
 as soon as one body is huge).
@@ -35,7 +35,7 @@ WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a n
 MOST_CELLS = 2**30  # most cells along an axis; with more, the rounding of a cell index would exceed the margin `WIDER`
 MAX_CELLS_PER_BODY = 16  # most cells in a grid that is numbered row by row
 SPARSE = 2.5  # number of cells per body above which cells are broader across rows
-BROAD = 1.75  # factor on the width across rows; cells are shorter along rows by its square
+BROAD = 1.75  # factor on the width of cells across rows; the length of cells along rows is divided by its square
 WIDE = 2.0  # factor on the cell width if a grid would otherwise exceed `MAX_CELLS_PER_BODY`
 MAX_SHARED_BODIES = 0.5  # bodies per cell above which octaves do not share a grid
 MAX_PAIRS_PER_BODY = 1.0  # pairs within cells above which an octave gets its own cells of the smallest width
@@ -87,25 +87,25 @@ SPHERE = dtype_of(SphereRecord)
 
 
 class Layout(NamedTuple):
-    """The g grids of a step, at most k, beginning with the grid of the largest bodies."""
+    """The g grids of a step, beginning with the grid of the largest bodies; there is room for k."""
 
-    grids: IntArray  # (1,) g
+    grids: IntArray  # (1,) number of grids, g
     grid: RecordArray[GridRecord]  # (k,)
     into: BoolArray  # (k, k) whether the bodies of a grid search another grid
-    origin: FloatArray  # (3,) m, the corner where cells begin
+    origin: FloatArray  # (3,) m, position of the corner where cells begin
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
 
 
 class Table(NamedTuple):
     """The bodies of a step in the order of their buckets."""
 
-    ends: Int32Array  # (buckets + 1,) first body of each bucket, and n
+    ends: Int32Array  # (buckets + 1,) first body of each bucket, then n
     body: Int32Array  # (n,)
     sphere: RecordArray[SphereRecord]  # (n,)
 
 
 class Cells:
-    """Sorts n bodies, whose radii do not change, into cells; keeps its tables from step to step."""
+    """Sorts n bodies of constant radii into cells; keeps its tables from step to step."""
 
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team) -> None:
         n = len(radius)
@@ -148,13 +148,13 @@ class Cells:
 
 @inline
 def repeats(size: float) -> bool:
-    """Return whether space repeats along an axis with this entry of the box."""
+    """Return whether space is periodic along an axis, given the box size there."""
     return 0.0 < size < ENDLESS
 
 
 @kernel
 def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -> Vector:
-    """Write the corner where cells begin; return the extent of the bodies, or of the box where it repeats, in m."""
+    """Write the corner where cells begin; return the extent in m of the bodies, or of the box along periodic axes."""
     if repeats(box[0]) and repeats(box[1]) and repeats(box[2]):
         origin[:] = -0.5 * box
         return sizes(box)
@@ -176,7 +176,7 @@ def _define_grids(
 ) -> bool:
     """Define the grids, and which grids search which others.
 
-    Return whether octaves share grids differently than before; bodies must then be sorted anew.
+    Return whether the assignment of octaves to grids has changed; if so, the bodies must be sorted again.
     """
     # each octave gets a grid, or shares the grid of the next larger octave
     count, cells, has_changed = 0, 0.0, False
@@ -213,7 +213,7 @@ def _define_grids(
         else:
             bucket += int(cells)
         grid.end_bucket = bucket
-    # for each two grids, the bodies of one grid search the other grid
+    # for each pair of grids, the bodies of one grid search the other grid
     for large in range(count):
         layout.into[large, large] = True
         upper = layout.grid[large]
@@ -238,7 +238,7 @@ def _cut(width: float, broader: float, extent: Vector, box: FloatArray, grid: Gr
 
 @kernel
 def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
-    """Return the number of cells of at least a size, in m, along an axis, and the number per metre."""
+    """Return the number of cells along an axis, and per metre; a cell is at least ``size`` (m) wide."""
     if periodic:
         cells = int(min(max(1.0, np.floor(extent / size)), MOST_CELLS))
         return cells, cells / extent
@@ -248,7 +248,7 @@ def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
 
 @inline
 def cell_of(ox: float, oy: float, oz: float, grid: GridRecord, periodic: bool) -> tuple[int, int, int]:
-    """Return the cell of a point, given relative to the corner where cells begin, in m.
+    """Return the cell of a point whose position (m) is relative to the corner where cells begin.
 
     In a periodic box, a cell along an axis that does not repeat is its own image.
     """
@@ -260,7 +260,7 @@ def cell_of(ox: float, oy: float, oz: float, grid: GridRecord, periodic: bool) -
 
 @inline
 def bucket_of(ix: int, iy: int, iz: int, grid: GridRecord) -> int:
-    """Return the bucket of a cell; the next cells of its strip have the next buckets."""
+    """Return the bucket of a cell; consecutive cells of a strip have consecutive buckets."""
     if grid.hashed:
         # the upper half of Knuth's multiplicative hash of the strip
         strip = (((iz * (2 * MOST_CELLS) + iy) * 0x1E3779B97F4A7C15 + ix // STRIP) * 0x1E3779B97F4A7C15) >> 32
@@ -274,7 +274,7 @@ def bucket_of(ix: int, iy: int, iz: int, grid: GridRecord) -> int:
 def _assign(
     lo: int, hi: int, position: FloatArray, layout: Layout, before: Table, bucket: Int32Array, rank: Int32Array
 ) -> None:
-    """Find the bucket of each body, and its number in the bucket; the number depends on the order of the threads."""
+    """Find each body's bucket, and its rank within the bucket; the rank depends on the order of the threads."""
     origin, ends, body = layout.origin, before.ends, before.body
     L, last = 0, len(body) - 1
     periodic = is_periodic(layout.box)
@@ -295,7 +295,7 @@ def _assign(
 
 @kernel
 def _add_up_counts(ends: Int32Array, octaves: RecordArray[OctaveRecord], layout: Layout) -> None:
-    """Replace the number of bodies in each bucket by the position of its first; mark crowded octaves."""
+    """Replace each bucket's number of bodies by the index of its first body; mark crowded octaves."""
     total, last = np.int32(0), 0
     for L in range(layout.grids[0]):
         pairs = 0

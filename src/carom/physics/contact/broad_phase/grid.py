@@ -2,8 +2,8 @@
 
 A pair within an octave is found by the body in the earlier cell. A pair of two octaves is found by one of the bodies.
 Either the smaller bodies search the few cells of larger bodies near them, or the larger bodies search the many cells
-that they cover: the choice with fewer cells in all. Gravel on a planet is an example of the first case, power-law radii
-are one of the second.
+that they cover: whichever takes fewer cells in total. Gravel on a planet is an example of the first case, power-law
+radii are an example of the second.
 
 Rejected: searching from the smaller bodies always, with each octave in a hashed grid of its own (4 times the time for
 10⁵ radii from 1 to 100).
@@ -43,9 +43,9 @@ MIN_BODIES_PER_TASK = 200
 
 
 class HierarchicalGrid:
-    """Finds the pairs of n spheres, whose radii do not change, that touch; keeps its tables from step to step.
+    """Finds the touching pairs among n spheres of constant radii; keeps its tables from step to step.
 
-    A box is the size of the periodic box, (3,) m; zeros in open space.
+    The argument ``box`` is the size of the periodic box, (3,) m; zeros in open space.
     """
 
     def __init__(self, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
@@ -118,7 +118,7 @@ class Row(NamedTuple):
 def search(
     lo: int, hi: int, table: Table, layout: Layout, scale: float, skin: float, claimed: IntArray, buffer: IntArray
 ) -> None:
-    """Store the pairs of the bodies [lo, hi) of the table, and mark the rows that were claimed but not used."""
+    """Store the pairs of bodies [lo, hi) of the table, and mark rows of the buffer that were claimed but not used."""
     scope = Scope(table, layout, scale, skin, claimed, buffer)
     box, periodic, origin = sizes(layout.box), is_periodic(layout.box), layout.origin
     m, end, K = 0, 0, 0
@@ -135,7 +135,7 @@ def search(
             fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, repeats(box[0]))
             fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, repeats(box[1]))
             fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, repeats(box[2]))
-            # Within an octave, half of the neighbours are searched. If a cell is a neighbour on both sides, all
+            # Within an octave, half of the neighbours are searched. If a cell may be a neighbour on both sides, all
             # neighbours are searched, but only for later bodies.
             half = K == L and not _meets_itself(grid, scale, skin, box)
             later = K == L and not half
@@ -162,14 +162,14 @@ def search(
                         m, end = _search_cells(a, Row(x, x + cells, y, z), after, grid, scope, m, end)
                         ix += cells
                         if half:
-                            after = 0  # the index is that of the row's first cells
+                            after = 0  # the row begins with its first cells
     for unused in range(m, min(end, buffer.shape[1])):
         buffer[0, unused, 1] = -1
 
 
 @inline
 def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid: GridRecord) -> Row:
-    """Return the cells of a row near a point, in m from the corner of the grid; none if it is too far."""
+    """Return the cells of a row near a point (m from the grid's corner); none if the row is too far away."""
     gy, gz = _gap_to_cell(oy, row.y, grid.ky), _gap_to_cell(oz, row.z, grid.kz)
     squared = search_radius * search_radius - gy * gy - gz * gz
     if squared < 0.0:
@@ -203,7 +203,7 @@ def _search_cells(a: int, row: Row, after: int, grid: GridRecord, scope: Scope, 
 
 @inline
 def _is_in(sphere: SphereRecord, row: Row, grid: GridRecord, layout: Layout) -> bool:
-    """Return whether a body is in a row of cells; other cells may share the hash."""
+    """Return whether a body is in a row of cells; bodies of other cells may share its bucket."""
     origin = layout.origin
     x, y, z = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
     bx, by, bz = cell_of(x, y, z, grid, is_periodic(layout.box))

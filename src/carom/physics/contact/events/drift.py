@@ -58,10 +58,10 @@ if TYPE_CHECKING:
 
 LOG_ROWS = 4096  # most impacts in one call
 MOST_TOUCHING = 16  # mean number of contacts per body at one moment
-SINGLE_ROWS = 4  # in the log of bodies that touch, one row in this many is for single impacts, the rest for groups
+SINGLE_ROWS = 4  # one row in so many is for single impacts in the log of touching bodies; the others are for groups
 GAP_ROUNDING = 16 * 2.0**-53  # relative rounding of the coordinates and of the sum of radii
 WIDEST = 2.0  # width, in radii, up to which the contact grids also find neighbours
-# Limits of the largest search radius, in body radii, for `narrow`: it saves time, and the squares are finite.
+# Limits of the search radius in body radii, for `narrow`: a limited radius saves time, and its square is finite.
 NARROWED = 0.25, 1e100
 
 
@@ -79,7 +79,7 @@ class EventDrivenDrift(Mover):
         self._forces = contacts.needs.resting.modelled  # whether a force presses contacts together
         self._search, self._team, self._box, self._shear = near.search, contacts.team, world.box, shear
         self._fixed = ends.inverse_mass[:n] == 0.0
-        self.pressing = solver.pressing  # (n + p, 3) m/s², the accelerations that press contacts together
+        self.pressing = solver.pressing  # (n + p, 3) m/s², accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
         self._group = empty_group()  # workspace of held contacts
         self._absent: BoolArray | None = None  # (n,) bodies that do not exist now, as `trajectories.everyone`
@@ -137,7 +137,7 @@ class EventDrivenDrift(Mover):
         self._resolve(nobody, T)
 
     def warnings(self) -> Iterable[str]:
-        """Return a warning if a body reached the largest number of impacts in the last drift."""
+        """Return a warning if a body reached its limit of impacts in the last drift."""
         if self.trajectories.drift["exhausted"][0]:
             yield (
                 "A body had so many impacts in one step that its last ones were resolved together, and without a "
@@ -219,7 +219,7 @@ class EventDrivenDrift(Mover):
             self._absent = absent
 
     def bend_by(self, strength: float) -> None:
-        """Let a uniform field bend paths, times a factor."""
+        """Let the uniform field, times a factor, bend the paths."""
         drift, field = self.trajectories.drift, strength * self.bending
         drift["field_x"], drift["field_y"], drift["field_z"] = field
 
@@ -245,7 +245,7 @@ class EventDrivenDrift(Mover):
         return step_by_impacts(*moving, T.surface, T.offset, pairs, span)
 
     def _straighten(self, held: ImpulseCache, unmoved: BoolArray | None) -> None:
-        """Make the paths of held and of unmoved bodies straight, and mark held bodies as not free."""
+        """Make the paths of held and unmoved bodies straight, and mark held bodies as not free."""
         straighten(held.pairs, held.place, held.contacts, self.trajectories)
         if unmoved is not None:
             self.trajectories.body["is_straight"][unmoved] = True
@@ -255,7 +255,7 @@ class EventDrivenDrift(Mover):
         island_load_speeds(pairs, self.trajectories, scale, skin, self.pressing, self.field, dt)
 
     def _neighbours(self, largest: float, scale: float, skin: float, dt: float, narrows: bool) -> IntArray:
-        """Return the pairs whose search radii overlap; a small ``largest`` (in body radii) is used for all bodies."""
+        """Return the pairs whose search radii overlap; all bodies get a small ``largest`` (in body radii)."""
         T, radius, position = self.trajectories, self._bodies.radius, self._bodies.position
         if self._shear:
             position, stretch = self._shear.carried(position), self._shear.stretch(dt)
@@ -275,10 +275,11 @@ class EventDrivenDrift(Mover):
         step, group, count = self._resolve_most, None, 0
         while not logs or T.drift["queued"][0] > 0:
             if logs:
-                logs[-1] = logs[-1].copy()  # the log is written again
+                logs[-1] = logs[-1].copy()  # the copy survives the next call, which overwrites the log
             count = step(neighbours, T, self.log, group)
             logs.append(self.log[:count])
-            if count + MOST_CONTACTS <= len(self.log):  # the log is not full, so a body is exhausted
+            # the log is not full, so the kernel stopped at an exhausted body
+            if count + MOST_CONTACTS <= len(self.log):
                 step, group = resolve, self._group
         total = sum(map(len, logs))
         if total > len(self.log):  # the next step may have as many impacts

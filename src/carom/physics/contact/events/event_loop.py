@@ -7,8 +7,8 @@ in the meantime, the body's impact is predicted again.
 The velocity at a time τ is v + a (τ - h), where h is the kick before the drift. With these velocities energies are
 exact: if the impulse J removes -J·(v(τ) + J/2m), the kicks before and after the drift do exactly gravity's work along
 the bent path. With a constant acceleration, a rebound conserves its energy to the last bits. Where that acceleration is
-the uniform field, the bodies meet where their parabolas meet, so the time and the outcome of the impact are exact. The
-same holds under drag, with the velocities and times in `trajectories`.
+the uniform field, the bodies meet where their parabolas meet, so the time and the outcome of the impact are exact. Drag
+changes none of this, given the velocities and times in `trajectories`.
 """
 
 from __future__ import annotations
@@ -72,22 +72,24 @@ from carom.physics.vector import Vector, add, along, between, is_periodic, neare
 
 # Fraction of the rest speed above which a contact is resolved where it touches; it rebounds above the rest speed
 # itself. With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead
-# of 1 mm. Rejected: to judge bodies that are held by their velocity in the drift, which is what moves them. With 0.05,
-# stack-dropped gains 5 % of its energy in place of 8 % and overlaps are a third as deep, but marbles-in-a-box and drum
-# take 1.5 times as long and hopper twice; with 0.01, the gain is 1 %, and marbles-in-a-box takes six times as long.
+# of 1 mm. Rejected: for held bodies, comparing the velocity in the drift, which is what moves them, with the rest
+# speed. With a fraction of 0.05, stack-dropped gains 5 % of its energy in place of 8 % and overlaps are a third as
+# deep, but marbles-in-a-box and drum take 1.5 times as long and hopper twice; with 0.01, the gain is 1 %, and
+# marbles-in-a-box takes six times as long.
 SLOW = 0.25
-# The same where nothing is fixed. With 0.25, rubble-collision has 2.7 times as many impacts and takes 1.3 times as
-# long; the deepest overlap is 5 × 10⁻⁴ r instead of 1.4 × 10⁻³ r.
+# Fraction of the rest speed above which a contact is resolved where it touches, in scenes without fixed bodies. With
+# 0.25, rubble-collision has 2.7 times as many impacts and takes 1.3 times as long; the deepest overlap is 5 × 10⁻⁴ r
+# instead of 1.4 × 10⁻³ r.
 SLOW_IN_SPACE = 1.0
-# Fraction of a periodic box that a relative motion may cover in a drift for the nearest image alone to be tested:
-# halfway to the next image, which is half a box farther away.
+# Fraction of a periodic box that a relative motion may cover in a drift if only the nearest image is tested. This is
+# half the way to the next image, which is at least half a box farther away.
 IMAGE_SHARE = 0.25
 
 # Number of impacts of a body in a drift after which its contacts are held (`MAX_IN_COLLAPSE` with e < 1, where no force
 # presses). A collapse has infinitely many impacts in a finite time. Where a force presses, a light ball can stop one of
-# 300 times its mass within this number.
-# Without dissipation there are always finitely many, some π √(M/m) for a heavy ball that presses a light one against a
-# wall (Galperin 2003): 10⁵ for a ratio of the masses of 10⁹. Their records take 20 MB.
+# 300 times its mass within this number. Without dissipation there are always finitely many, some π √(M/m) for a heavy
+# ball that presses a light one against a wall (Galperin 2003): 10⁵ for a ratio of the masses of 10⁹. The records of so
+# many impacts take 20 MB.
 MAX_IMPACTS = 1000
 MAX_ELASTIC = 100_000
 
@@ -103,8 +105,8 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], group: Group | None) -> int:
     """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number.
 
-    ``group`` is workspace for held contacts. With None, the loop ends where a body is exhausted: few scenes hold
-    contacts in a drift, and without `hold_group` the kernel compiles in half the time.
+    ``group`` is workspace for held contacts. With None, the loop ends where a body is exhausted: without `hold_group`,
+    the kernel compiles in half the time, and few scenes hold contacts in a drift.
     """
     n, row = len(T.x), 0
     while row + MOST_CONTACTS <= len(log):
@@ -136,7 +138,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
 
 @inner
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
-    """Move two bodies to the next impact; return the body that predicted it, or -1 if no impact follows.
+    """Move two bodies to the next impact; return the body whose prediction it is, or -1 if no impact follows.
 
     A prediction is stale if the partner has had another impact since. In the case of a guided wall, the impact then
     comes later (`guided_walls`).
@@ -202,7 +204,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
     far = not is_periodic(box)  # in a periodic box, other images may be near
-    height = np.inf  # m, the largest distance of a parabola from its straight line
+    height = np.inf  # m, largest distance between a parabola and its straight line
     if drift.damping == 0.0:
         gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
         height = 0.125 * drift.dt * drift.dt * np.sqrt(gx * gx + gy * gy + gz * gz)
@@ -257,7 +259,7 @@ def _passes_images(v: Vector, span: float, box: Vector) -> bool:
 
 @inner
 def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
-    """Return the acceleration of j relative to i, with drag, in m/s²; v is their relative velocity in the drift."""
+    """Return the acceleration of j relative to i, with drag, in m/s²; ``v`` is their relative velocity in the drift."""
     (vx, vy, vz), (ax, ay, az) = v, between(T.a, i, j)
     damping = T.drift[0].damping
     return ax - damping * vx, ay - damping * vy, az - damping * vz
@@ -265,7 +267,7 @@ def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
 
 @inner
 def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Trajectories) -> float:
-    """Return the time (s) until two bodies meet, where the field bends one path; infinite if they miss each other.
+    """Return the time (s) until two bodies meet, if the field bends one path; infinite if they miss each other.
 
     ``d`` (m) and ``v`` (m/s) are the separation and the velocity of j relative to i on their straight lines, and
     ``slow`` (m/s) is the largest closing speed that is not an impact.
@@ -350,7 +352,7 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
 
 @inner
 def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
-    """Resolve one impact with the velocities at its time, and write it into a row of the log.
+    """Resolve an impact with the velocities at its time, and write it into a row of the log.
 
     If a row of the log were the argument, Numba would compare the type of the row with the types of all other logs, and
     warn.
@@ -425,14 +427,14 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
     """Return the normal velocity in m/s at which two bodies must separate to touch again only at the end of the drift.
 
     The result is -infinity unless the relative acceleration ``an`` in m/s² presses the bodies together. Bodies that
-    separate more slowly would overlap at the end: the force keeps acting, and nothing holds them until then.
+    separate more slowly would overlap at the end, because nothing holds them against the force until then.
     """
     if not an < 0.0:
         return -np.inf
     drift, n = T.drift[0], len(T.x)
     pressing = nx * drift.field_x + ny * drift.field_y + nz * drift.field_z
     bend = (0.0 if T.body[i].is_straight else pressing) - (0.0 if j >= n or T.body[j].is_straight else pressing)
-    rise = 0.5 * drift.clock  # s, `lag` over the remaining time
+    rise = 0.5 * drift.clock  # s, this is `lag` divided by the remaining time
     if drift.damping > 0.0:
         remaining = drift.dt - drift.clock
         rise = 1.0 / (1.0 - drift.damping * (drift.dt - drift.kick)) / drift.damping - 1.0 / drift.damping

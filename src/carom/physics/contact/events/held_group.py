@@ -8,18 +8,18 @@ the pair, all bodies that touch an exhausted body among these, and so on. For ea
 
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
-so that in this drift gaps do not become negative and overlaps do not grow. Of all velocities that satisfy these
-conditions, `nearest_velocities` finds those that are nearest to the previous velocities in kinetic energy.
+so that in this drift gaps do not become negative and overlaps do not grow. Among all velocities that satisfy these
+conditions, `nearest_velocities` finds the nearest ones to the previous velocities, measured by kinetic energy.
 
 Bodies that separate and meet again could also be held infinitely often. Each time, the gap up to which their contacts
 are held doubles, until it covers the whole drift.
 
 Where no contact of the group dissipates (e = 1), the impulses are twice the impulses that end the closing at the
-present time. That reverses the component of √m v that they remove, so the energy is conserved. A light ball between a
-heavy one and a wall then turns the heavy ball round as its remaining impacts would, only earlier, by twice the time in
-which the heavy ball would cover the remaining gap. As soon as an impact has acted on several contacts, the bodies
-continue with single impacts. A body that is exhausted again and again, such as a ball between two walls that nearly
-touch it, stays in its place, closes no contact, and rebounds at the end of the drift.
+present time. These impulses reverse the closing component of √m v instead of removing it, so the energy is conserved. A
+light ball between a heavy ball and a wall then turns the heavy ball round as its remaining impacts would. It does so
+too early, by twice the time that the heavy ball needs to cover the remaining gap. As soon as an impact has acted on
+several contacts, the bodies continue with single impacts. A body that is exhausted again and again, such as a ball
+between two walls that nearly touch it, stays in its place, closes no contact, and rebounds at the end of the drift.
 
 Rejected: impulses with e = 0 one by one, which are as many as the impacts; leaving an exhausted body out of the drift,
 so that others pass through it.
@@ -61,7 +61,8 @@ from carom.physics.jit.decorators import inline, inner
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
 from carom.physics.vector import Vector, along, between, vector
 
-MOST_RELEASES = 3  # releases of an exhausted elastic body in a drift; a chain of impacts between masses needs 1 or 2
+# most releases of an exhausted elastic body in a drift; a chain of impacts between masses needs 1 or 2
+MOST_RELEASES = 3
 SPEED_ROUNDING = 10.0 * ROUNDING  # closing speed, relative to the fastest body, that needs no impulse
 
 
@@ -82,7 +83,7 @@ def hold_group(
     for k in range(bodies):
         guided = guided or group.body[k] >= len(T.x)
     waits = waits and elastic and T.drift[0].clock < T.drift[0].dt  # the rebound waits until the end of the drift
-    if waits and guided:  # the wall would move on without it
+    if waits and guided:  # the wall would move on without the rebound
         waits = elastic = False
     if elastic:
         for c in range(contacts):
@@ -107,7 +108,7 @@ def hold_group(
     count = 0
     for k in range(bodies):
         b = group.body[k]
-        if b >= len(T.x):  # a guided wall: the change of its velocity until its contacts are logged
+        if b >= len(T.x):  # a guided wall: its entry is the change of velocity until the contacts are logged
             T.v[b, 0], T.v[b, 1], T.v[b, 2] = vector(group.v, k)
             continue
         moved = b in (i, j)
@@ -147,7 +148,7 @@ def _is_elastic(contacts: int, group: Group, T: Trajectories) -> bool:
 
 @inner
 def _further_closing(ends: tuple[int, int], normal: Vector, T: Trajectories) -> float:
-    """Return the change of a contact's normal velocity in the drift by the kick so far, walls and shear, in m/s."""
+    """Return the change (m/s) of a contact's normal velocity so far in the drift, by the kick, walls and shear."""
     (i, j), (nx, ny, nz), s = ends, normal, T.drift[0].clock - T.drift[0].kick
     ax, ay, az = between(T.a, i, j)
     further = s * (ax * nx + ay * ny + az * nz)
@@ -162,7 +163,7 @@ def _further_closing(ends: tuple[int, int], normal: Vector, T: Trajectories) -> 
 
 @inner
 def _gather_solid(b: int, p: int, bodies: int, contacts: int, T: Trajectories, group: Group) -> tuple[int, int]:
-    """Add the contact of a body with a solid to a group, if it is near; return the numbers of bodies and contacts."""
+    """Add a body's contact with a nearby solid to a group; return the group's numbers of bodies and contacts."""
     n = len(T.x)
     if contacts < MOST_CONTACTS and contact_geometry(b, n + p, T)[3] - T.radius[b] <= T.body[b].standoff:
         if _place(n + p, bodies, group) < 0 and bodies < MOST_BODIES:
@@ -278,7 +279,7 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
 
 @inner
 def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
-    """Give a body without closing contacts the velocity that it has lost a second time; if it ``waits``, at the end."""
+    """Reverse the velocity change of a body without closing contacts; if it ``waits``, at the end of the drift."""
     x, y, z = vector(T.v, group.body[k])
     x, y, z = group.v[k, 0] - x, group.v[k, 1] - y, group.v[k, 2] - z
     if not waits:

@@ -19,10 +19,10 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.jit.decorators import inline, inner, long_kernel
 
-MOST_BODIES = 48  # most bodies in a group; further bodies are held in other groups
+MOST_BODIES = 48  # most bodies in a group; other bodies are held in other groups
 MOST_CONTACTS = 3 * MOST_BODIES
 MOST_CHANGES = 20  # most changes, per contact, of the set of held contacts; rounding could exchange two without end
-DEPENDENT = 1e-29  # squared orthogonal component of a direction, relative, that is rounding
+DEPENDENT = 1e-29  # squared orthogonal part of a direction, relative to the whole, that is rounding
 
 
 class Group(NamedTuple):
@@ -36,12 +36,13 @@ class Group(NamedTuple):
     place: IntArray  # (MOST_CONTACTS, 2) indices of both ends in `body`; -1 for an end that does not move
     normal: FloatArray  # (MOST_CONTACTS, 3) normal from the first to the second end
     before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before the group is held
-    allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows, or an elastic contact's at rest
+    # (MOST_CONTACTS,) m/s, closing speed that the gap allows; for an elastic contact, its rest speed
+    allowed: FloatArray
     impulse: FloatArray  # (MOST_CONTACTS,) N s, impulse divided by the group's unit
     scale: FloatArray  # (MOST_CONTACTS,) square root of the inverse reduced mass
     ignored: BoolArray  # (MOST_CONTACTS,) whether no impulse can open a contact
-    active: IntArray  # (MOST_CONTACTS,) held contacts
-    load: FloatArray  # (MOST_CONTACTS,) √kg m/s, loads of the held contacts
+    active: IntArray  # (MOST_CONTACTS,) indices of the held contacts
+    load: FloatArray  # (MOST_CONTACTS,) √kg m/s, loads on the held contacts
     weight: FloatArray  # (MOST_CONTACTS,) rates at which the loads decrease
     z: FloatArray  # (3 MOST_BODIES,) a direction
     Q: FloatArray  # (MOST_CONTACTS, 3 MOST_BODIES) with `R`: QR factors of the held contacts' directions
@@ -108,7 +109,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
                 if weight[k] > 0.0 and load[k] < partial * weight[k]:
                     partial, opened = load[k] / weight[k], k
             step = min(full, partial)
-            if step == np.inf:  # its direction depends on the directions of contacts that no impulse can open
+            if step == np.inf:  # the contact's direction depends on those held contacts, none of which can open
                 ignored[c] = True
                 break
             if full < np.inf:
@@ -126,7 +127,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
             for k in range(opened, count - 1):
                 active[k], load[k] = active[k + 1], load[k + 1]
             count -= 1
-            for k in range(count):  # recomputed from the start: a group is small, and contacts seldom open
+            for k in range(count):  # all factors are computed again: a group is small, and contacts seldom open
                 _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, weight, z), Q, R, weight, z)
     for k in range(count):
         group.impulse[active[k]] = load[k] / scale[active[k]]

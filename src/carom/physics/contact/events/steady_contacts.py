@@ -1,4 +1,4 @@
-"""The stages of contacts in the kernel of few bodies, as long as the contacts are those of the previous step.
+"""The contact stages of the kernel for few bodies, for steps with the same contacts as the previous step.
 
 `ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
 themselves. The functions here call the same kernels in the same order without Python in between, so the bits are the
@@ -154,13 +154,13 @@ def _are_finite(position: FloatArray, velocity: FloatArray) -> bool:
     for i in range(len(position)):
         for k in range(3):
             x, v = position[i, k], velocity[i, k]
-            rest += (x - x) + (v - v)  # 0, or not a number
+            rest += (x - x) + (v - v)  # adds 0, or NaN if an input is not finite
     return rest == 0.0
 
 
 @inline
 def _crosses(velocity: FloatArray, box: FloatArray, dt: float) -> bool:
-    """Return whether a body crosses a whole box in dt s; single steps refuse many crossings."""
+    """Return whether a body crosses a whole box in dt s; the general step refuses many crossings."""
     for i in range(len(velocity)):
         for k in range(3):
             if abs(velocity[i, k]) * dt >= box[k]:
@@ -344,7 +344,7 @@ def _margins(
         for k in range(3):
             coordinate = max(coordinate, abs(x[i, k]))
     fall = np.sqrt(square) * dt * dt
-    if fall == 0.0:  # all contacts are impacts
+    if fall == 0.0:  # no force presses, so all contacts are impacts
         return 1.0, 0.0, 0.0
     rounding = MOST_ROUNDED * np.spacing(coordinate)
     return 1.0 + TOUCHING, rounding + min(fall, LARGEST_SKIN * smallest), rounding

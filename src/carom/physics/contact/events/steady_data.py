@@ -32,7 +32,7 @@ class SteadyRules(NamedTuple):
     pushes: bool  # whether overlaps are corrected
     bends: bool  # whether a uniform field bends the paths of bodies
     anchored: bool  # whether something is fixed
-    deepest: float  # overlap over the smaller radius above which a run warns
+    deepest: float  # ratio of overlap to smaller radius above which a run warns
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
 
 
@@ -41,7 +41,7 @@ class SteadyBuffers(NamedTuple):
 
     saved: Words  # the words in `SteadyContacts.words` at the beginning of the step
     spins: FloatArray  # (n, 3) rad/s, spins at the beginning of the step; empty where nothing spins
-    held: RecordArray[ContactRecord]  # (m,) the contacts as they are held, before positions change
+    held: RecordArray[ContactRecord]  # (m,) the contacts that are held, before positions change
     held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,)
     largest: FloatArray  # (n + p,)
@@ -52,10 +52,10 @@ class SteadyBuffers(NamedTuple):
 
 
 class SteadyContacts(NamedTuple):
-    """The contacts of a step, which the contacts of the next steps have to match."""
+    """The contacts of a step; the kernel runs only as long as the next steps have the same contacts."""
 
     system: ConstraintSystem
-    holding: ConstraintSystem  # the same, with the accelerations against which contacts are held before the drift
+    holding: ConstraintSystem  # the same contacts, with the accelerations against which they are held before the drift
     trajectories: Trajectories
     rules: SteadyRules
     buffers: SteadyBuffers
@@ -78,7 +78,7 @@ class SteadyContacts(NamedTuple):
         """Gather the contacts of the last step, and memory for the next ones.
 
         ``against`` are the accelerations against which contacts are held before the drift, (n + p, 3) m/s² (default:
-        those of the bodies).
+        the bodies' accelerations).
         """
         solver, settings, event_drift = contact.solver, contact.settings, contact.part(EventDrivenDrift)
         assert event_drift is not None, "see `make` of `steady_steps`"

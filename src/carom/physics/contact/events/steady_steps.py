@@ -1,10 +1,10 @@
 """Many steps of few bodies in contact, by the kernel of `carom.physics.few_bodies`.
 
 `KickDriftStepper` leaves the steps before the next frame or check to this module, as long as the same contacts last.
-`KickDriftStepper` itself makes the step that ends at the frame or check, since Python needs the contacts of that step.
+`KickDriftStepper` itself makes the last of these steps, since Python needs its contacts for the frame or check.
 
-The kernel sums entries of the books in the same order: the ledger, the numbers of contacts, the deepest overlap.
-`steady_contacts` lists the steps that Python must process.
+The kernel keeps the ledger, the numbers of contacts and the deepest overlap as single steps would, and adds in the same
+order. `steady_contacts` lists the steps that Python must process.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from carom.physics.world import World
 from carom.plan.auto import integrator
 
 PATIENCE = 256  # single steps after which carom decides, again and again, whether to load or compile the kernel
-LONGEST_PAUSE = 16  # most single steps between two calls, if each call ends at a step that Python must process
+LONGEST_PAUSE = 16  # most single steps between two calls of the kernel, if each ends at a step that Python must process
 
 
 class SteadySteps:
@@ -51,9 +51,10 @@ class SteadySteps:
         self._last: OrderedContacts | None = None  # contacts of the last examined step
         self._go_on: Callable[..., tuple[Any, ...]] | None = None  # the kernel; None until it is worthwhile
         self._first: float = np.inf  # number of the first examined step
-        self._pause, self._next_pause = 0, 1  # single steps before the next call, and after it if the call is in vain
+        # single steps before the next call, and before the one after it if this call makes no step
+        self._pause, self._next_pause = 0, 1
         self._waited = 0  # single steps that the kernel could have made
-        self._next_decision = PATIENCE  # number of such steps at which to decide again whether the kernel is worthwhile
+        self._next_decision = PATIENCE  # value of `_waited` at which to decide again whether the kernel is worthwhile
 
     def advance(self, goal: Goal) -> bool:
         """Make the steps before the next frame or check, if the same contacts last; return whether there were any."""
@@ -116,5 +117,5 @@ def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FewBodies)
     if not all(isinstance(part, known) for part in contact.parts):
         return None
     settings, is_held_twice = contact.settings, min(substeps[0]) > 0.0
-    is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # which rounds otherwise
+    is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # "baumgarte" rounds differently
     return SteadySteps(world, books, timestep, flight) if is_held_twice and is_known else None

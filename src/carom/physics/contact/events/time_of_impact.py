@@ -17,7 +17,7 @@ for
 
 Steps of this length converge to the first root from below, at the rate of Newton's method. Under drag with the rate λ
 the separation is d + w t φ₁ + b t² φ₂, with φ₁ and φ₂ of λ t (`carom.physics.exponential`), and its second derivative
-(b - λ w) e^{-λt}, which only shrinks.
+is (b - λ w) e^{-λt}, whose magnitude only shrinks.
 
 A drift moves bodies with the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick
 before the drift; under drag a - λ v takes the place of a. A meeting is an impact only if the bodies then close faster
@@ -40,20 +40,21 @@ from carom.physics.vector import Vector, between, nearest_image, vector
 
 CLEARANCE = 1e-6  # clearance relative to the squared distance; it exceeds the rounding of times of impact
 MOST_PASSES = 100
-GAP_TOLERANCE = 2.0**-50  # gap, relative to the sum of radii, that is rounding
+GAP_TOLERANCE = 2.0**-50  # gap, relative to the sum of radii, that counts as rounding
 
 # Constants of `step_by_impacts`.
 PASSES = 3  # passes, each of which uses the mean velocity up to the impact found before
-SLOW_CONTACT = 2.0  # least closing speed of an impact, over the speed that a contact at rest may gain in the span
+SLOW_CONTACT = 2.0  # least closing speed of an impact, divided by the speed that a contact at rest may gain in the span
 APPROACH = 0.9  # fraction of the time to an impact that a step covers
-SHORT = 1e-4  # fraction of the span; a step of this length passes over an impact that is nearer
+SHORT = 1e-4  # fraction of the span; a step of this length passes over impacts that come sooner
 
 
 @inline
 def stay_apart(d: Vector, v: Vector, R: float, span: float) -> bool:
     """Return whether two bodies certainly stay farther apart than R within a span, without a division or a root.
 
-    |d + v t|² is at least d² + 2 d·v t. Most neighbours pass this test. The units are as for `time_of_impact`.
+    |d + v t|² is at least d² + 2 d·v t. Most neighbours pass this test. The arguments have the units of
+    `time_of_impact`.
     """
     (dx, dy, dz), (vx, vy, vz) = d, v
     closing = min(0.0, dx * vx + dy * vy + dz * vz)
@@ -65,8 +66,8 @@ def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since
     """Return the time (s) until two bodies meet in an impact; infinite if they do not within a span (s).
 
     One body has the separation d (m), the velocity v (m/s) and the acceleration a (m/s²) relative to the other. R is
-    the sum of their radii in m, ``since_kick`` the present time minus the time of the velocities in s, and ``slow`` the
-    largest closing speed in m/s that is not an impact.
+    the sum of their radii in m, ``since_kick`` is the present time minus the time of the velocities in s, and ``slow``
+    is the largest closing speed in m/s that is not an impact.
     """
     (dx, dy, dz), (vx, vy, vz), (ax, ay, az) = d, v, a
     b = dx * vx + dy * vy + dz * vz
@@ -197,7 +198,7 @@ def time_of_impact_in_box(
 def _each_on_its_line(
     d: Vector, v: Vector, a: Vector, R: float, slow: float, times: tuple[float, float, float], box: Any
 ) -> float:
-    """Test the images that come within R along the gradient; along the other axes, the box repeats as without shear."""
+    """Test the images that come within R along the gradient; along the other axes, the box is simply periodic."""
     span, since_kick, clock = times
     B = box[0]
     (dx, dy, dz), (vx, vy, vz) = d, v
@@ -228,7 +229,7 @@ def first_of_images(
 
 @kernel
 def _next_image(d: float, v: float, L: float, R: float, leg: float) -> float:
-    """Return the offset of the approaching image from the nearest image; 0 if the former stays too far away."""
+    """Return the offset of the approaching image from the nearest image; 0 if it stays too far away."""
     if v > 0.0:
         return -L if L - d - v * leg <= R else 0.0
     if v < 0.0:
@@ -252,8 +253,8 @@ def step_by_impacts(
     ``pairs``, (m, 2), sorted, are the contacts of the last step. Contacts that touch are held and are not impacts: they
     close at speeds within the tolerance of the solver.
 
-    A held contact acts on its bodies with one impulse for the whole step. An impact in the middle of the step meets
-    velocities that lack part of this impulse, and bodies that separate there keep too much of the impulse. Both are
+    A held contact acts on its bodies with one impulse for the whole step. At an impact in the middle of the step, the
+    velocities lack part of this impulse; bodies that separate in the middle of the step keep too much of it. Both are
     errors of first order in the step. Each step therefore covers nine tenths of the time to the impact, until a very
     short step passes it. The prediction ignores held contacts, an error of second order.
     """

@@ -49,7 +49,8 @@ from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # standoff, in radii, of a body that is exhausted for the first time
-MOST_HOLDS = 100  # holds of an exhausted body in a drift; then its standoff exceeds every gap, and it meets only bodies
+# most holds of an exhausted body in a drift; its standoff then exceeds every gap, and it meets only bodies
+MOST_HOLDS = 100
 MAX_SEARCH_RADIUS = 1e150  # m; finite when squared
 
 
@@ -64,9 +65,10 @@ class QueuedRecord(Protocol):
 class TrajectoryRecord(QueuedRecord, Protocol):
     """The path of a body in a drift."""
 
-    now: float  # s from the beginning of the drift, time of the body's position
+    now: float  # time of the body's position, in s from the beginning of the drift
     impacts: int  # impacts of the body so far in this drift
-    partner_impacts: int  # impacts of the next partner when the next impact was predicted; 0 for a solid at rest
+    # number of impacts of the next partner when the next impact was predicted; 0 for a solid at rest
+    partner_impacts: int
     negligible_speed: float  # m/s; a slower approach is rounding, not an impact
     search_radius: float  # m, displacement relative to the bulk up to which the body's neighbours are known
     start_x: float  # m, position at the beginning of the drift, or at the middle of the path; see `narrow`
@@ -74,7 +76,7 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     start_z: float
     standoff: float  # m, gap up to which the contacts of an exhausted body are held; see `held_group`
     holds: int  # how often the body's contacts were held in this drift, or since its last release
-    released: int  # impacts of the body at its last release; 0 before
+    released: int  # the body's number of impacts at its last release; 0 before the first
     releases: int  # how often the body was released in this drift
     later_x: float  # m/s, velocity that the body regains at the end of the drift; meaningful if it is exhausted
     later_y: float
@@ -96,7 +98,7 @@ class DriftRecord(Protocol):
     kick: float  # s, length of the kick before the drift: velocities belong to this time in the drift
     damping: float  # 1/s, rate at which drag slows bodies down; 0 without drag
     clock: float  # s, the present time
-    slow: float  # fraction of the rest speed; slower contacts are left to the end of the step
+    slow: float  # fraction of the rest speed below which contacts are left to the end of the step
     loading: float  # s, length of the step times `NearPairs.loading`
     field_x: float  # m/s², the uniform field that bends paths; zeros where no path bends
     field_y: float
@@ -133,7 +135,7 @@ class Trajectories(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²), inverse moments of inertia
     radius: FloatArray  # (n + p,) m
-    load_speed: FloatArray  # (n + p,) m/s, change of speed in a step by the largest acceleration in the body's island
+    load_speed: FloatArray  # (n + p,) m/s, largest acceleration in the body's island times the step
     loads: RecordArray[LoadRecord]  # (n + p,) loads of the held contacts
     box: FloatArray  # (3,) m, size of the periodic box, zeros in open space; or the record of a sheared box
     surface: FloatArray  # (p, 3) normals, or records of solids; see `solids`
@@ -179,7 +181,7 @@ def write_search_radii(
 
 @kernel
 def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, pressed: BoolArray) -> None:
-    """Begin a drift of dt after a kick, both in s; the field bends the paths of bodies that move, if it ``bends``.
+    """Begin a drift of dt after a kick, both in s; if ``bends``, the field bends the paths of moving bodies.
 
     ``pressed``, (n + p,), says whether contacts have pressed each body since the last step.
     """
@@ -200,9 +202,10 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
 def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: IntArray) -> int:
     """Centre search radii on the middle of the paths; copy pairs that may meet to ``near``, and return their number.
 
-    Around the start of its path, a body needs twice the radius that it needs around the middle, and a search finds all
-    pairs within the largest one. In a falling heap, two fifths of the pairs remain. Space must not be periodic, and
-    paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) define the distance of the search.
+    A search radius around the start of a path is twice as large as around its middle, and the search for neighbours
+    finds all pairs within the largest search radius. In a falling heap, two fifths of the pairs remain. Space must not
+    be periodic, and paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) define the distance of the
+    search.
     """
     drift, rows = T.drift[0], 0
     half = 0.5 * drift.dt
@@ -311,7 +314,7 @@ def relative_velocity(i: int, j: int, T: Trajectories) -> Vector:
 def velocity_of_partner(i: int, j: int, T: Trajectories) -> Vector:
     """Return the velocity (m/s) relative to j of its image nearest to i; 0 unless the box is sheared.
 
-    The positions of both bodies must be at the present time.
+    Both bodies must be at their positions of the present time.
     """
     dx, dy, dz = between(T.x, i, j)
     return velocity_of_image(dx, dy, dz, T.box)
@@ -352,7 +355,7 @@ def centre(i: int, T: Trajectories) -> Vector:
 
 @inner
 def rest_speed(i: int, j: int, normal: Vector, T: Trajectories) -> float:
-    """Return the closing speed (m/s) up to which a contact is at rest: 0 if its bodies have touched nothing."""
+    """Return the largest closing speed (m/s) of a contact at rest: 0 if its bodies have touched nothing."""
     most = 0.0 if T.body[i].is_free else T.load_speed[i]
     if j < len(T.x) and not T.body[j].is_free:
         most = max(most, T.load_speed[j])
@@ -388,7 +391,7 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
 
 @inner
 def place_at_wall(i: int, solid: int, T: Trajectories) -> Vector:
-    """Return the centre of a body relative to a wall where the scene puts it, in m."""
+    """Return the centre (m) of a body in the frame in which a moving wall stays where the scene puts it."""
     x, y, z = centre(i, T)
     if walls_translate(T.surface):
         rx, ry, rz = displacement_in_drift(T.surface, solid, elapsed(T))
@@ -423,7 +426,7 @@ def leaves_search_radius(i: int, T: Trajectories) -> bool:
 
 @long_kernel
 def finish(lo: int, hi: int, T: Trajectories) -> None:
-    """Move bodies [lo, hi) to the end of the drift, where exhausted ones regain the velocity that `hold_group` kept."""
+    """Move bodies [lo, hi) to the end of the drift, where exhausted bodies regain velocities that `hold_group` kept."""
     dt = T.drift[0].dt
     for i in range(lo, hi):
         body = T.body[i]
@@ -464,7 +467,7 @@ def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
 def put(i: int, size: int, queue: IntArray, body: RecordArray[QueuedRecord]) -> int:
     """Update the place of body i in a queue after its next impact has changed; without an impact, remove the body.
 
-    Return the number of queued bodies, which was ``size``.
+    Return the new number of queued bodies; the old number is ``size``.
     """
     k, placed = body[i].queue_place, i
     if body[i].impact_time == np.inf:

@@ -1,8 +1,8 @@
 """Times of impact of bodies with walls.
 
-The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. At the signed distance d(x) from a
-wall, the gap of a body of radius r is d - r. The time until this gap closes has two bounds. The gap cannot close before
-the path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the
+The path of a body in a drift is x + v t + ½ g t², where g is the field that bends the path. At the signed distance d(x)
+from a wall, the gap of a body of radius r is d - r. The time until this gap closes has two bounds. The gap cannot close
+before the path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the
 distance of the nearest centre of curvature. Steps by either bound lead to the first root from below; with the second,
 they converge as fast as Newton's method, as in `time_of_impact`. If a wall translates, the path is relative to the
 wall, and the wall's largest acceleration is added to g.
@@ -66,7 +66,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories, surface: FloatArray) -
 def _reach(
     solid: int, path: tuple[Vector, Vector, Vector], bend: float, span: float, T: Trajectories, surface: FloatArray
 ) -> tuple[Vector, float]:
-    """Return where a path begins, relative to a wall, and how far it leads within a span (s) at most, both in m."""
+    """Return where a path begins relative to a wall, and its greatest length within a span (s), both in m."""
     (x, y, z), (vx, vy, vz), _ = path
     if walls_translate(surface):
         clock = T.drift[0].clock
@@ -92,12 +92,13 @@ def _predict_with_solid(
 ) -> None:
     """Store the next impact of a body with a solid, if it precedes the stored impact.
 
-    ``path`` is its position (m), velocity (m/s) and acceleration (m/s²); ``bend`` is the magnitude of the acceleration.
+    ``path`` is the body's position (m), velocity (m/s) and acceleration (m/s²); ``bend`` is the magnitude of the
+    acceleration.
     """
     n, drift, body = len(T.x), T.drift[0], T.body[i]
     clock, dt, kick = drift.clock, drift.dt, drift.kick
     (x, y, z), (wx, wy, wz), (gx, gy, gz) = path
-    held = body.is_straight and not body.is_free  # the contacts of a rolling body close again as the drift ends
+    held = body.is_straight and not body.is_free  # a rolling body closes its contacts again at the end of the drift
     share = 1.0 if held else drift.slow
     wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
     when = clock + wait
@@ -115,11 +116,11 @@ def _predict_with_solid(
         px, py, pz = px - rx, py - ry, pz - rz
         bx, by, bz = vector(T.a, n + solid)
         ux, uy, uz = ux - sx - bx * s, uy - sy - by * s, uz - sz - bz * s
-    if not touches_here(surface, solid, px, py, pz):  # a neighbour of this facet is as near
+    if not touches_here(surface, solid, px, py, pz):  # a neighbouring facet is as near, and takes the contact
         return
     nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
     closing = -(ux * nx + uy * ny + uz * nz)
-    turning = 0.0  # m/s, closing speed at the end of the drift of a body that rolls along the wall
+    turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
     if not body.is_free and focal > 0.0:
         turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
     slow = share * rest_speed(i, n + solid, (-nx, -ny, -nz), T)

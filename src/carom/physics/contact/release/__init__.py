@@ -1,1 +1,1 @@
-"""Bodies that enter and leave during a run; those that wait are outside of the physics."""
+"""Bodies that enter and leave during a run; waiting bodies take no part in the physics."""

@@ -1,4 +1,4 @@
-"""When bodies enter: the inlets of a scene, one for each group with a release, and one for all other bodies."""
+"""Inlets decide when bodies enter: one inlet for each group with a release, and one for all other bodies."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ ORIGIN, COUNT = range(2)  # columns of `Inlets.slots`
 class Inlets:
     """The inlets of a scene, and how many bodies have entered.
 
-    At an inlet with a rate, the slot number k is at the time origin + k/rate. Each body that enters takes the next one.
-    The first inlet belongs to bodies that are there from the start, which come back as soon as there is room.
+    At an inlet with a rate, the slot number k is at the time origin + k/rate. Each body that enters takes the next
+    slot. The first inlet is for bodies present from the start, which return as soon as there is room.
     """
 
     def __init__(self, scene: Scene, bodies: int) -> None:
         self.of_body = np.zeros(bodies, dtype=np.int64)  # number of each body's inlet
-        self.begun = np.full(bodies, PRESENT)  # s, as `ReleaseCheckpoint.since`, at the start of the run
+        self.begun = np.full(bodies, PRESENT)  # s, value of `ReleaseCheckpoint.since` at the start of the run
         rows = [(0.0, 0.0, np.inf)]
         self._names = ["bodies that come back"]
         first = bodies - sum(group.count for group in scene.group)
@@ -35,10 +35,10 @@ class Inlets:
             self.of_body[members], self.begun[members] = len(rows), release.at
             rows.append((release.at, 1.0 / release.rate if release.rate else 0.0, release.until or np.inf))
             self._names.append(group.name or f"group {index}")
-        self._at, self._interval, self._until = np.array(rows).T  # s; an interval of 0: all enter together
+        self._at, self._interval, self._until = np.array(rows).T  # s; if an interval is 0, all bodies enter together
         self._units = scene.unit_system
         self.first_slots = np.stack([self._at, np.zeros(len(rows))], axis=1)
-        self.slots = self.first_slots.copy()  # (k, 2), the origin in s, and the number of slots taken since
+        self.slots = self.first_slots.copy()  # (k, 2), origin in s, and number of slots taken since then
 
     def __len__(self) -> int:
         return len(self._at)
@@ -48,7 +48,7 @@ class Inlets:
         return np.flatnonzero((self._until <= time) & (waiting > 0))
 
     def room(self, time: float, waiting: IntArray) -> IntArray:
-        """Return how many of the bodies that wait at each inlet, (k,), are due at a time (s)."""
+        """Return the number of waiting bodies that are due at a time (s), for each inlet, (k,)."""
         due = np.zeros(len(self), dtype=np.int64)
         for k in np.flatnonzero(waiting).tolist():
             if self._interval[k] == 0.0:
@@ -59,7 +59,7 @@ class Inlets:
         return due
 
     def next_due(self, time: float, waiting: IntArray) -> float:
-        """Return the first time (s) after a given one at which one of the bodies that wait is due."""
+        """Return the first time (s) after a given time at which a waiting body is due."""
         found = np.inf
         for k, due in enumerate(self.room(time, waiting).tolist()):
             if due < waiting[k]:
@@ -71,7 +71,7 @@ class Inlets:
         self.slots[:, COUNT] += np.bincount(inlets, minlength=len(self))
 
     def begin_again(self, inlets: IntArray, time: float, waiting: IntArray) -> None:
-        """Restart the slots of inlets whose queue was empty and now begins, at a time (s)."""
+        """Restart the slots of inlets whose empty queues get their first body at a time (s)."""
         for k in np.unique(inlets).tolist():
             if self._interval[k] and not waiting[k] and self._slot(k, 0) < time:
                 self.slots[k] = time, 0.0
@@ -89,6 +89,6 @@ class Inlets:
                 )
 
     def _slot(self, inlet: int, ahead: int) -> float:
-        """Return the time (s) of a slot, counted from the next free one."""
+        """Return the time (s) of the slot that is ``ahead`` slots after the next free one."""
         origin, taken = self.slots[inlet].tolist()
         return float(origin + (taken + ahead) * self._interval[inlet])

@@ -1,4 +1,4 @@
-"""Which bodies leave: those whose centres are in the region, or behind the plane, of an outlet."""
+"""Outlets decide which bodies leave: a body whose centre is in an outlet's region, or behind its plane."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class OutletRecord(Protocol):
     """An outlet."""
 
     kind: int
-    x: float  # m, its centre, or a point of the plane
+    x: float  # m, centre of the outlet, or a point of its plane
     y: float
     z: float
-    a: float  # m, half of its size; the radius of a ball or a cylinder comes first; of a plane the normal
+    a: float  # m, half of its size, or first the radius of a ball or cylinder; for a plane, its normal
     b: float
     c: float
     cavity: float  # m, radius of the cavity of a shell

@@ -1,16 +1,16 @@
-"""Bodies that wait outside of the physics, enter at their places, and leave through outlets.
+"""Passing bodies: they wait outside of the physics, enter at their places, and leave through outlets.
 
-A body that waits has no mass: it has no energy, no force moves it, and nothing can push it. It is kept beside the
-scene, and its pairs are no contacts. Bodies enter and leave as a step begins:
+A waiting body has no mass: it has no energy, no force moves it, and nothing can push it. It is kept beside the scene,
+and its pairs with other bodies are not contacts. Bodies enter and leave as a step begins:
 
 - a body whose centre is in an outlet leaves, and its contacts end; then it waits, or stays outside for good
 - an adaptive step ends when a body is due, so that it enters at its time; equal steps let it enter as the next begins
 - it enters at its place, with the velocity and the spin of the scene, if no sphere and no moving wall overlaps it there
-- of a group with a rate, one body enters for each multiple of 1/rate; a body whose place is taken is passed by others,
-  and what could not enter in time enters as soon as there is room
+- in a group with a rate, one body enters at each multiple of 1/rate; others pass a body whose place is taken, and a
+body that could not enter in time enters as soon as there is room
 - bodies are tried in the order in which they began to wait
 
-The ledger books the kinetic and the potential energy of what enters and leaves.
+The ledger books the kinetic and potential energies of bodies that enter and leave.
 
 Rejected: arrays that grow and shrink, because each buffer, checkpoint and drawing has a row for each body.
 """
@@ -36,9 +36,9 @@ from carom.state.checkpoint import GONE, PRESENT, ContactCheckpoint, ReleaseChec
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-ENTRY = "passage"  # of the ledger
-PATIENCE = 0.05  # of the duration of a run: how long a place may be taken before a warning
-LARGEST_MOVE = 0.5  # of its radius, by which a body moves in the step in which it enters; as `auto.LATE_CFL`
+ENTRY = "passage"  # name of the ledger entry
+PATIENCE = 0.05  # fraction of the run's duration for which a place may be taken before a warning
+LARGEST_MOVE = 0.5  # most displacement of a body in the step in which it enters, in radii; as `auto.LATE_CFL`
 
 
 class PassingBodies(OptionalPart):
@@ -63,9 +63,10 @@ class PassingBodies(OptionalPart):
         contacts.near.has_statics = True  # pairs of bodies that cannot move are left out
         self._outlets, self._through = outlets_of(scene), np.empty(n, dtype=np.int64)
         self._comes_back = np.array([outlet.to == "inlet" for outlet in scene.outlet], dtype=np.bool_)
-        self._totals = np.zeros((len(scene.outlet), 2))  # bodies and kg through each outlet since the start
-        self._time = 0.0  # s, at which the step began
-        self._exchanged: list[tuple[float, FloatArray, FloatArray]] = []  # J, N s and N m s, that came in this step
+        # number and kg of bodies that left through each outlet since the start
+        self._totals = np.zeros((len(scene.outlet), 2))
+        self._time = 0.0  # s, time at which the step began
+        self._exchanged: list[tuple[float, FloatArray, FloatArray]] = []  # J, N s and N m s that entered in this step
         self._restore(self._at_start)
         self._place_outside(np.flatnonzero(self._waits))
 
@@ -86,7 +87,7 @@ class PassingBodies(OptionalPart):
         self._restore(self._at_start)
 
     def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
-        """Add which bodies wait, the slots that are taken, and what has left."""
+        """Add the waiting bodies, the taken slots, and the totals that have left."""
         state = self._since, self._inlets.slots, self._totals
         return replace(memory, release=ReleaseCheckpoint(*(array.copy() for array in state)))
 
@@ -98,11 +99,11 @@ class PassingBodies(OptionalPart):
         self._restore(state)
 
     def discard(self) -> None:
-        """Discard what is left to be booked."""
+        """Discard the exchanges that are not booked yet."""
         self._exchanged.clear()
 
     def latest_end(self, time: float, adaptive: bool) -> float:
-        """Return when the next body is due, or by when one that enters now has moved by half of its radius."""
+        """Return when the next body is due, or if sooner, when a body that enters now has moved by half a radius."""
         if not adaptive or not self._count:
             return np.inf
         due, end = self._due(time), self._inlets.next_due(time, self._waiting)
@@ -114,7 +115,7 @@ class PassingBodies(OptionalPart):
         return end
 
     def begin(self, step: int, began: float, ended: float) -> None:
-        """Let bodies enter that are due, where there is room."""
+        """Let due bodies enter, where there is room."""
         self._time = began
         if len(self._outlets):
             stays = self._waits | (self._inverse_mass == 0.0)
@@ -131,7 +132,7 @@ class PassingBodies(OptionalPart):
                 self._enter(entering)
 
     def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
-        """Leave out the pairs of bodies that wait."""
+        """Leave out the pairs of waiting bodies."""
         pairs = others(step)
         if self._are_outside:
             step.profile.mark("search")
@@ -140,7 +141,7 @@ class PassingBodies(OptionalPart):
         return pairs
 
     def book(self, account: LedgerAccount) -> None:
-        """Book what entered as the step began."""
+        """Book what the bodies that entered or left as the step began have carried."""
         for energy, impulse, angular_impulse in self._exchanged:
             account.exchange(ENTRY, -energy, impulse, angular_impulse)
         self._exchanged.clear()
@@ -163,7 +164,7 @@ class PassingBodies(OptionalPart):
         return due[np.lexsort((due, self._since[due]))]
 
     def _free(self, due: NDArray[np.intp], room: IntArray) -> IntArray:
-        """Return the bodies that enter, given those that are due, and how many may enter at each inlet."""
+        """Return the bodies that enter, given the due bodies and how many may enter at each inlet."""
         if self._solids.moves and len(due):
             due = due[(self._solids.heights(self._place[due]) >= self._bodies.radius[due][:, None]).all(axis=1)]
         bodies = self._bodies.position, self._bodies.radius, self._waits
@@ -185,7 +186,7 @@ class PassingBodies(OptionalPart):
         self._exchanged.append(self._motion_of(which, potential))
 
     def _leave(self, which: NDArray[np.intp]) -> None:
-        """Take bodies out of the physics, with their contacts."""
+        """Remove bodies and their contacts from the physics."""
         assert self._forces is not None, "a world joins its parts to its forces"
         before, through = sum(self._forces.potentials().values()), self._through[which]
         motion = self._motion_of(which, 0.0)
@@ -215,7 +216,7 @@ class PassingBodies(OptionalPart):
         return potential + float(kinetic.sum()), (mass * v).sum(axis=0), angular.sum(axis=0)
 
     def _place_outside(self, which: IntArray) -> None:
-        """Move bodies to where they wait."""
+        """Move bodies to their waiting places."""
         bodies = self._bodies
         bodies.position[which] = self._outside[which]
         for state in (bodies.velocity, bodies.angular_velocity):
@@ -223,24 +224,24 @@ class PassingBodies(OptionalPart):
                 state[which] = 0.0
 
     def _restore(self, state: ReleaseCheckpoint) -> None:
-        """Set which bodies wait, and the slots that are taken; the time of the next step is not known."""
+        """Set which bodies wait and which slots are taken; the time of the next step is not known."""
         self._exchanged.clear()
         self._inlets.slots[:], self._totals[:] = state.slots, state.totals
         self._since = state.since.copy()
         self._weigh()
 
     def _set_since(self, which: IntArray, since: float) -> None:
-        """Let bodies begin or cease to wait."""
+        """Set the time since which bodies wait, or that they no longer wait."""
         self._since[which] = since
         self._weigh()
 
     def _weigh(self) -> None:
-        """Give the bodies that are present their mass, and the others none."""
+        """Give present bodies their mass, and the others no mass."""
         n, waits = len(self._bodies), self._since != PRESENT
         self._waits, self._are_outside = waits, bool(waits.any())
         self._contacts.absent = waits
         self._waiting = np.bincount(self._inlets.of_body[self._since >= 0.0], minlength=len(self._inlets))
-        self._count = int(self._waiting.sum())  # of the bodies that may still enter
+        self._count = int(self._waiting.sum())  # number of bodies that may still enter
         self._bodies.mass[:] = np.where(waits, 0.0, self._mass)
         self._ends.inverse_mass[:n] = np.where(waits, 0.0, self._inverse_mass)
         self._ends.inverse_inertia[:n] = np.where(waits, 0.0, self._inverse_inertia)

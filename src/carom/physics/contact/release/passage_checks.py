@@ -1,4 +1,4 @@
-"""Refusals of inlets and outlets: too many bodies for an inlet, and outlets that no body or each body reaches."""
+"""Refusals: inlets with too many bodies, and outlets that no body reaches or that every body is in."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carom.scene.wall_shapes import unit_vector
 from carom.scene.wording import body_called
 
 PARALLEL = 1e-12  # difference of the normals of parallel planes
-DENSEST = 0.64  # packing fraction of a random close packing; no inlet is fuller
+DENSEST = 0.64  # packing fraction of a random close packing; no inlet can be fuller
 
 
 def refuse_impossible_passages(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:
@@ -51,7 +51,7 @@ def _refuse_late_release(scene: Scene, index: int, group: BodyGroup) -> None:
 
 
 def _refuse_too_high_rate(scene: Scene, index: int, group: BodyGroup) -> None:
-    """Refuse a rate above that of a region as full as a random packing, which empties along its velocity and field."""
+    """Refuse a rate that even a densely packed region could not supply by its velocity and the field."""
     release, region = group.release, group.region
     if release is None or release.rate is None or region is None or group.count == 1:
         return
@@ -73,7 +73,7 @@ def _refuse_too_high_rate(scene: Scene, index: int, group: BodyGroup) -> None:
 
 
 def _emptying(scene: Scene, group: BodyGroup, region: Region) -> float:
-    """Return the time (s) in which a body passes through its region, from rest by the field, or with its velocity."""
+    """Return the time (s) in which a body crosses its region, from rest in the field or with its velocity."""
     field, mean = np.array(scene.gravity.uniform), np.array(group.velocity.mean)
     moves = mean if mean.any() else field
     size = math.sqrt(float((moves * moves).sum()))

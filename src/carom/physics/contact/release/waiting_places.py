@@ -1,4 +1,4 @@
-"""Where bodies wait, and which of them find their places free."""
+"""Places where bodies wait, and the choice of those that find their places free."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from carom.physics.vector import is_periodic, sizes
 from carom.scene.schema.settings import Domain
 from carom.scene.start import HalfSpaces
 
-APART = 2.5  # largest radii: the distance of bodies that wait, too far for a search to list them
+APART = 2.5  # distance between waiting bodies in largest radii; too far for a search to list their pairs
 
 
 def waiting_places(position: FloatArray, radius: FloatArray, domain: Domain, solids: HalfSpaces) -> FloatArray:
     """Return a place for each body to wait, (n, 3) m: a lattice beside the places where bodies enter.
 
-    Contacts of bodies that wait are left out wherever they are. Here a search does not find them either, and few
-    are behind a plane, where each would be examined in each step.
+    Contacts of waiting bodies are left out, wherever the bodies are. At these places a search does not find such
+    contacts in the first place, and few bodies are behind a plane, where each would be examined in every step.
     """
     spacing = APART * float(radius.max())
     low, high = position.min(axis=0) - spacing, position.max(axis=0) + spacing
     middle, reach = 0.5 * (low + high), high - low
     beside = [axis for axis in range(3) if axis not in domain.repeating]
-    ways = [(axis, sign) for axis in reversed(beside) for sign in (1.0, -1.0)]  # above first
+    ways = [(axis, sign) for axis in reversed(beside) for sign in (1.0, -1.0)]  # first try above
 
     def base(axis: int, sign: float) -> FloatArray:
         found = np.array(middle)
@@ -69,7 +69,7 @@ def choose(
     box: FloatArray,
     largest: float,
 ) -> IntArray:
-    """Return which bodies enter, in their order, given those that are due and the number that may enter at each inlet.
+    """Return the bodies that enter, in order, given the due bodies ``which`` and the ``room`` at each inlet.
 
     A body enters if its place is free of present bodies, and of bodies that enter before it. ``bodies`` are positions,
     (n, 3) m, radii, (n,) m, and which wait, (n,); ``largest`` is the largest radius in m.
@@ -78,7 +78,7 @@ def choose(
     size, repeats = sizes(box), is_periodic(box)
     low, high = np.empty(3), np.empty(3)
     _bounds(which, place, low, high)
-    # the bodies that may be in the way: present ones near the places, then the ones that enter
+    # bodies that may be in the way: present bodies near the places, then bodies that enter
     near, x = np.empty(len(radius) + len(which), dtype=np.int64), np.empty((len(radius) + len(which), 3))
     count = 0
     for i in range(len(radius)):

@@ -43,13 +43,14 @@ from carom.state.frame import CollisionGraph, empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-SPIN = 10.0  # largest surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
-ASLEEP = -1.0  # marks a sleeping body, in place of the time for which it has been slow
+# largest surface speed of a slow body, divided by s: nothing brakes a spin about a normal, and it moves no neighbour
+SPIN = 10.0
+ASLEEP = -1.0  # marks a sleeping body in `_calm`
 
 
 @dataclass(frozen=True, slots=True)
 class SleepingContacts:
-    """The contacts between sleepers, and of sleepers with fixed ends; sorted by pair and never written to."""
+    """The contacts of sleepers with each other and with fixed ends; sorted by pair, never modified."""
 
     pairs: IntArray  # (k, 2)
     force: FloatArray  # (k, 4) N, normal and tangential force
@@ -63,7 +64,7 @@ class SleepingContacts:
 
     @property
     def place(self) -> IntArray:
-        """(k,) index of each contact's record."""
+        """Indices of the contacts' records, (k,)."""
         return np.arange(len(self))
 
     def graph(self) -> CollisionGraph:
@@ -123,8 +124,8 @@ class Sleepers(OptionalPart):
         self.contacts = NO_SLEEPERS
         self._fell_asleep = False  # whether any contact fell asleep at the end of the last step
         self._slept = NO_SLEEPERS  # contacts that slept in the last step
-        self._first_kick = 0.0  # s, of the step
-        self._lost = NO_ENTRIES  # J, ledger of the contacts that woke in this step or fell asleep after it
+        self._first_kick = 0.0  # s, first kick of the step
+        self._lost = NO_ENTRIES  # J, losses of the contacts that woke in this step or fell asleep after it
 
     def is_busy(self) -> bool:
         """Whether a body sleeps."""
@@ -207,7 +208,7 @@ class Sleepers(OptionalPart):
         step.profile.mark("sleep")
 
     def _leave_out(self) -> None:
-        """Let sleep handle the present contacts of sleepers in this step."""
+        """Leave the present contacts of sleepers to this part during this step."""
         self._slept = self._all_contacts.idle = self.contacts
 
     def have_awake_end(self, pairs: IntArray) -> BoolArray:
@@ -222,9 +223,9 @@ class Sleepers(OptionalPart):
         """Wake the islands that are disturbed, or near awake bodies, given all near pairs.
 
         The first kick and the step take ``kick`` and ``dt`` s. Return the impulses with which the next kick starts,
-        from ``cache`` and from the woken contacts, and the energy -½ m (a h)² that contacts removed after the first
-        kick, (k, 3) J, by term. The energy audit books the same energy for bodies at rest, and the opposite after the
-        last kick.
+        from ``cache`` and from the woken contacts, and the energies -½ m (a h)² that contacts removed after the first
+        kick, (k, 3) J, by term. For bodies at rest, the energy audit books the same energy after the first kick, and
+        the opposite after the last kick.
         """
         disturbed = self._disturbed(pairs) if self._count else np.zeros(0, dtype=np.bool_)
         if not disturbed.any():
@@ -350,7 +351,7 @@ def _mark_disturbed(
 
 @kernel
 def _wake_islands(pairs: IntArray, inverse_mass: FloatArray, disturbed: BoolArray, woken: BoolArray) -> None:
-    """Mark all bodies of the islands in which a body is disturbed."""
+    """Mark all bodies of islands that contain a disturbed body."""
     n = len(disturbed)
     parent = np.arange(n)
     join_islands(pairs, inverse_mass, parent)

@@ -2,7 +2,8 @@
 
 An impulse J removes -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick there
 is a second term. In the drift, the forces do work on velocities that include J, but half of that work was already
-booked with the first kick, without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the impulse:
+booked with the first kick, for velocities without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the
+impulse:
 
     lost_n = -λ_n ((v_n + v_n')/2 - Δv_n),    lost_t = -λ_t·((u + u')/2 - Δu)        Δv = 0 after the last kick
 
@@ -15,12 +16,12 @@ at the contacts from v to v' = v + A λ. The solution minimises
 
 which is 0 for λ = 0, and negative for impulses that remove energy. Iterations lower f, but they start from the
 impulses of the previous kick, which may be far too large. Along θ λ, the minimum is at θ = -λ·(v + c) / λ·(v' - v). If
-θ < 1, the impulses of the island are multiplied by it. Then f ≤ 0, and contacts gain no energy over a whole step, since
+θ < 1, the impulses of the island are multiplied by θ. Then f ≤ 0, and contacts gain no energy over a whole step, since
 its second kick starts from the impulses of the first. An island is a connected component of the collision graph without
 fixed bodies and planes.
 
-θ < 1 is rare, so the audit also computes both sums (`measures`), and is repeated if impulses were scaled. In a falling
-heap of 1000 spheres, one `hold` in twenty is repeated; a separate pass for the sums took 5 % of each step.
+θ < 1 is rare, so the audit computes both sums in θ on the way (`measures`), and is repeated if impulses were scaled. In
+a falling heap of 1000 spheres, one audit in twenty is repeated; a separate pass for the sums took 5 % of each step.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
 
 @inner
 def scale_back(first: int, end: int, system: ConstraintSystem) -> None:
-    """Scale the impulses of each island with θ < 1, and undo the audit; record whether there were any."""
+    """Scale the impulses of each island with θ < 1, and undo the audit; record whether any island was scaled."""
     settings = system.settings[0]
     if not settings.islands_known:
         _find_islands(system)
@@ -142,12 +143,12 @@ def friction_energies(
 
 @inline
 def _find_islands(system: ConstraintSystem) -> None:
-    """Write the island of each body: the lowest body that contacts connect it with."""
+    """Write the island of each body, named by the lowest body that contacts connect it with."""
     active, island = system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]
     join_islands(system.pairs, system.inverse_mass, island)
-    for k in range(len(active)):  # in ascending order of indices: the parent's is lower, so its root is known
+    for k in range(len(active)):  # in ascending order: a parent has a lower index, so its root is already known
         island[active[k]] = island[island[active[k]]]
 
 
@@ -174,7 +175,7 @@ def _sum_up_islands(system: ConstraintSystem) -> None:
 
 @inline
 def _find_scales(system: ConstraintSystem) -> bool:
-    """Find θ of each island, 1 where the minimum is at more than 1; return whether one is less than 1."""
+    """Find θ of each island, at most 1; return whether any θ is less than 1."""
     any_less = False
     for k in range(len(system.active)):
         whole = system.islands[system.active[k]]
@@ -205,7 +206,7 @@ def _scale_impulses(system: ConstraintSystem) -> None:
 
 @inline
 def _scale_velocities(system: ConstraintSystem) -> None:
-    """Scale the changes of the velocities by the same factors; the arrays hold the velocities before the impulses."""
+    """Scale the changes of velocities by the islands' factors; the arrays hold the velocities before the impulses."""
     v, omega = system.velocity, system.spin
     for k in range(len(system.active)):
         b = system.active[k]

@@ -28,7 +28,7 @@ from carom.physics.jit.vectors import (
     spread,
 )
 
-VELOCITY, CHANGE = range(2)  # lines of a body's record, by name
+VELOCITY, CHANGE = range(2)  # names of the lines of a body's record
 
 
 @inline
@@ -65,7 +65,7 @@ class Block:
         return field_of(self.code.context, self.builder, self._kind, self._system, name)
 
     def count(self, name: str) -> Any:
-        """Return the number of rows of a system's array."""
+        """Return the number of rows of an array of the system."""
         return self.code.length_of(self.kind_of(name), self._array(name))
 
     @property
@@ -78,11 +78,11 @@ class Block:
         return self.code.element_of(self.kind_of(name), self._array(name), *indices)
 
     def setting(self, name: str) -> Lanes:
-        """Return a double of the settings, in all lanes."""
+        """Return a floating-point setting, in all lanes."""
         return spread(self.builder, self.builder.load(self._setting_at(name, DOUBLE)))
 
     def number(self, name: str) -> Any:
-        """Return an integer of the settings."""
+        """Return an integer setting."""
         return self.builder.load(self._setting_at(name, WORD))
 
     @property
@@ -153,7 +153,7 @@ class Block:
         mask
             The contacts that exert an impulse; fixed bodies are not written.
         torque
-            N s, λ_t × n, whose product with its lever arm is the torque impulse on each body. None without spin.
+            λ_t × n in N s; its product with a body's lever arm is the angular impulse on that body. None without spin.
         """
         for body, arm, push in zip(bodies, (contact.arm_i, contact.arm_j), ([-a for a in J], J), strict=True):
             by = [along * body.inverse_mass for along in push]

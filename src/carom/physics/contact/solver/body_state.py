@@ -25,7 +25,7 @@ from carom.physics.jit.vectors import where
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import Vector
 
-LARGEST_DEVIATION = 0.5  # largest q over v_t; a faster spin turns the path of a body by a radian in a step
+LARGEST_DEVIATION = 0.5  # largest ratio of q to v_t; a faster spin turns the path of a body by a radian in a step
 
 
 class Moving(Protocol):
@@ -99,7 +99,7 @@ def prefetch_ends(bodies: RecordArray[object], pairs: IntArray, c: int) -> None:
 
 @inline
 def prefetch_records(bodies: RecordArray[BodyStateRecord], pairs: IntArray, c: int) -> None:
-    """Prefetch the same lines, and the lines with the changes in the iteration."""
+    """Prefetch the lines of `prefetch_ends`, and the lines with the changes in the iteration."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, i, 1)
@@ -109,7 +109,7 @@ def prefetch_records(bodies: RecordArray[BodyStateRecord], pairs: IntArray, c: i
 
 # The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n of i and j point in
 # opposite directions, and so do the impulses, so r × J is ρ λ_t × n for both. Fixed bodies are not written: several
-# contacts of a colour may share one, and its cache line would move from core to core.
+# contacts of a colour may share a fixed body, and its cache line would move from core to core.
 
 
 @inline
@@ -140,7 +140,7 @@ def accumulate_impulse(
     ty: float,
     tz: float,
 ) -> None:
-    """Add the changes of velocities by impulses (N s) to the changes of the iteration."""
+    """Add the velocity changes by impulses (N s) to the velocity changes of the iteration."""
     accumulate_push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
     if turns:
         accumulate_turn(contact, a, b, tx, ty, tz)
@@ -185,7 +185,7 @@ def turn(contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: flo
 
 @inline
 def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float) -> None:
-    """Add the changes of `push` to the changes of the iteration."""
+    """Add the velocity changes that `push` makes to the velocity changes of the iteration."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
         a.dvx -= Jx * mi
@@ -202,7 +202,7 @@ def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float
 def accumulate_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float
 ) -> None:
-    """Add the changes of `turn` to the changes of the iteration."""
+    """Add the velocity changes that `turn` makes to the velocity changes of the iteration."""
     lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
     if si > 0.0:
@@ -271,7 +271,7 @@ def slip(
 def half_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float, drift: float
 ) -> Vector:
-    """Return the slip (m/s) that the first half of a drift (s) ends as the normal of two bodies turns, given v_t.
+    """Return the slip q (m/s) that the turn of the normal in the first half of a drift (s) ends, given v_t.
 
     The slip of bodies that drift changes by -w × δn, with w = ρ_i ω_i + ρ_j ω_j and the turn δn = v_t dt/d of the
     normal. The tangential component of this change is -w_n n × δn. Where the turn or the spin is too large for this, q
@@ -293,7 +293,7 @@ def _set_half_turn(contact: Any, surface: FloatArray, solid: int, body: Any, mov
     w = arm * body.wx, arm * body.wy, arm * body.wz
     bx, by, bz = slip_velocity(slip_on_wall(contact, 0.0, 0.0, 0.0), (nx, ny, nz), w)
     cx, cy, cz = slip_velocity(slip_at_wall(surface, solid, 0.0, point, (0.0, 0.0, 0.0)), end, w)
-    if not (ex == nx and ey == ny and ez == nz):  # turn it back with the normal
+    if not (ex == nx and ey == ny and ez == nz):  # rotate q back with the normal
         across = (cx * nx + cy * ny + cz * nz) / (1.0 + nx * ex + ny * ey + nz * ez)
         cx, cy, cz = cx - across * (nx + ex), cy - across * (ny + ey), cz - across * (nz + ez)
     qx, qy, qz = 0.5 * (bx - cx), 0.5 * (by - cy), 0.5 * (bz - cz)
@@ -314,8 +314,8 @@ def set_half_turn(
 ) -> None:
     """Store `half_turn` of a contact with a wall: half of the decrease of the slip s - ρ ω × n in the drift.
 
-    Before the slips at both ends of the drift are compared, the slip at the end is rotated by the turn of the normal
-    from ``end`` back to the beginning.
+    To compare the slips at both ends of the drift, the later slip is rotated back, by the rotation that takes the
+    normal ``end`` to the normal at the beginning.
 
     Parameters
     ----------

@@ -45,18 +45,19 @@ from carom.physics.jit.team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
-# Fraction of r·z at the start of a round of conjugate gradients at which its iterations end, by `contact.sweeps`; with
-# other values none follow. After a round, contacts are released, so a more exact solution would solve other equations.
-# In a falling heap of 1000 (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same
-# overlaps.
+# `contact.sweeps` decides whether conjugate gradients follow the iterations. Their iterations end when r·z has fallen
+# to this fraction of its value at the start of the round; with other values of the key, none follow. After a round,
+# contacts are released, so a more exact solution would solve other equations. In a falling heap of 1000
+# (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same overlaps.
 SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
-AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
-CONTACTS_PER_BODY = 8  # about the most contacts per body of an island
+# values of `contact.sweeps` with which small changes end the iterations
+AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")
+CONTACTS_PER_BODY = 8  # typical upper limit of contacts per body of an island
 
 
-# Iterations for each `contact.sweeps` that is not a number. A step of a falling heap with "quick" takes 1.24 ms with
-# four iterations, 1.36 with five, and 1.32 with three, which leave four times the overlap after 3 s
-# (benchmarks/heap.py, 1000 spheres).
+# Number of iterations for each word that `contact.sweeps` accepts. With "quick", a step of a falling heap takes 1.24 ms
+# with four iterations and 1.36 ms with five. With three iterations, it takes 1.32 ms, and overlaps are four times as
+# deep after 3 s (benchmarks/heap.py, 1000 spheres).
 MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "converged": 8, "as-needed": 8, "quick": 4}
 
 
@@ -107,7 +108,7 @@ class ContactSolver:
         self._islands = Islands(len(bodies.ends.velocity), team)
         # (n + p, 3) m/s², accelerations that press contacts together
         self.pressing = np.zeros_like(bodies.ends.acceleration) if planes.press_alone else bodies.ends.acceleration
-        self.turning = 0.0  # 1/s, fastest turning of a normal; known where only walls press
+        self.turning = 0.0  # 1/s, fastest turning of a normal; known only if walls alone press
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
         self._loaded = self._active  # bodies and planes that may carry a load
@@ -170,7 +171,7 @@ class ContactSolver:
 
     @property
     def contacts(self) -> RecordArray[ContactRecord]:
-        """(m,) `CONTACT`, in the order of solving, as in all properties below."""
+        """Records, (m,) `CONTACT`, in the order of solving; the properties below have the same order."""
         return self._system.contacts
 
     @property
@@ -185,12 +186,12 @@ class ContactSolver:
 
     @property
     def normals(self) -> FloatArray:
-        """(m, 3), from i to j."""
+        """Normals from i to j, (m, 3)."""
         return columns(self._system.contacts, ("nx", "ny", "nz"))
 
     @property
     def arms(self) -> FloatArray:
-        """(m, 2) m, from each end's centre to the contact point."""
+        """Lever arms, (m, 2) m, from each end's centre to the contact point."""
         return columns(self._system.contacts, ("arm_i", "arm_j"))
 
     @property
@@ -205,12 +206,12 @@ class ContactSolver:
 
     @property
     def rest_speed(self) -> FloatArray:
-        """(m,) m/s; a contact that closes no faster is at rest and does not bounce."""
+        """Rest speeds, (m,) m/s; a contact that closes no faster than its rest speed does not bounce."""
         return self._system.states["rest_speed"]
 
     @property
     def load_speed(self) -> FloatArray:
-        """(m,) m/s, which the largest acceleration of a contact's island causes in a step."""
+        """Load speeds, (m,) m/s: the largest acceleration in each contact's island, times the step."""
         return self._system.load_speed
 
     def speeds_by_pair(self) -> tuple[FloatArray, FloatArray]:
@@ -221,21 +222,21 @@ class ContactSolver:
 
     @property
     def approach(self) -> FloatArray:
-        """(m,) m/s, the fastest closing of each contact in the iterations of this step."""
+        """Closing speeds, (m,) m/s: the largest of each contact in the iterations of this step."""
         return self._system.states["approach_speed"]
 
     @property
     def ledger(self) -> FloatArray:
-        """(m, 3) J: losses by restitution and friction, gain by stabilisation."""
+        """Energies of each contact, (m, 3) J: losses by restitution and by friction, gain by stabilisation."""
         return terms_of(self._system.states)
 
     @property
     def audited(self) -> FloatArray:
-        """(k, 3) J: the same for the last `hold`, summed over each piece."""
+        """Energies of `ledger` in the last `hold`, summed over each piece, (k, 3) J."""
         return terms_of(self._system.piece_results)
 
     def statistics(self) -> ContactStatistics:
-        """Count the contacts that touched or carry an impulse, and sum their ledgers."""
+        """Count the contacts that touched or carry an impulse, and sum their energies."""
         return ContactStatistics.of(
             self._system.pairs, self._system.contacts, self._system.states, self._bodies.ends, self._team
         )
@@ -263,7 +264,7 @@ class ContactSolver:
         return presses
 
     def find_pressing(self) -> None:
-        """Compute the accelerations by which walls press bodies, where nothing else presses them."""
+        """Compute the accelerations by which walls press bodies, in scenes where nothing else presses them."""
         ends, system, lift = self._bodies.ends, self._system, self._planes.largest_acceleration
         if self._planes.press_alone:
             self.pressing[:] = ends.acceleration
@@ -278,7 +279,7 @@ class ContactSolver:
         moving = bodies.position, ends.velocity
         gathered = (*moving, ends.radius, ends.inverse_mass), system.pushed, system.pushed_in
         guided = self._planes.guided
-        if guided:  # also where nothing touches them, since their displacements are returned
+        if guided:  # done even if nothing touches a guided wall, since all displacements are returned
             for axis in ("x", "y", "z"):
                 system.pushed[axis][len(bodies) + guided.rows] = 0.0
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
@@ -315,7 +316,7 @@ class ContactSolver:
 
     @property
     def pressed(self) -> BoolArray:
-        """(n + p,) whether contacts have pressed each body since the last step; other bodies meet in impacts."""
+        """Whether contacts have pressed each body since the last step, (n + p,); other bodies meet in impacts."""
         return self._workspace.pressed
 
     def mark_pressed(self, cache: ImpulseCache) -> None:
@@ -375,7 +376,7 @@ class ContactSolver:
         max_iterations
             Limit of the iterations if they do not converge before.
         against
-            (n + p, 3) m/s², accelerations against which contacts hold (default: those of the bodies).
+            (n + p, 3) m/s², accelerations against which contacts hold (default: the bodies' accelerations).
         """
         settings = self._settings
         settings["dt"], settings["booked"], settings["drift"] = dt, booked, drift

@@ -7,13 +7,14 @@
 
 Each contact sums its losses by restitution and by friction, and its gain by the bias.
 
-A late impact is detected at the end of a step, at a depth δ. Gravity has made the approach faster than it was at the
-surface, and will make the rebound slower. The pair leaves the surface with e times its closing speed there if the
+A late impact is detected at the end of a step, at a depth δ. Gravity has made the approach faster than at the surface,
+and will make the rebound slower. The pair leaves the surface at e times the speed at which it closed there, if the
 coefficient at the depth δ is
 
     e_δ² = e² + (1 - e²) · 2 a_n δ / v_n²,    a_n = (a_i - a_j)·n, if gravity presses the pair together
 
-With e itself, the energy of each rebound is wrong by the change of the potential over δ, of first order in the step.
+With e in place of e_δ, the energy of each rebound is wrong by the change of the potential over δ, an error of first
+order in the step.
 """
 
 from __future__ import annotations
@@ -47,15 +48,15 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import between
 
-CONVERGED = 1e-9  # change of a velocity, over the largest in the first iteration, below which iterations end
+CONVERGED = 1e-9  # iterations end when the largest change of a velocity is this fraction of the first iteration's
 
 
 @inner
 def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
     """Resolve the impacts in some pieces once; record the largest change of a velocity.
 
-    The first iteration also records each closing speed, the fastest one, and whether a contact is at rest. A later
-    iteration raises the closing speed if an impulse from a neighbour has made the contact close faster.
+    The first iteration also records each closing speed, the fastest closing speed, and whether a contact is at rest. A
+    later iteration raises the closing speed if an impulse from a neighbour has made the contact close faster.
     """
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
@@ -134,7 +135,7 @@ def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
 
 @inline
 def _sum_of_speeds(a: BodyStateRecord, b: BodyStateRecord) -> float:
-    """Return a bound of the speeds of two bodies, in m/s."""
+    """Return an upper bound (m/s) of the speeds of two bodies."""
     bound: float = abs(a.vx) + abs(a.vy) + abs(a.vz) + abs(b.vx) + abs(b.vy) + abs(b.vz)
     return bound
 
@@ -165,7 +166,7 @@ def check_closing(
     resolved
         The contacts, their states and their load speeds in m/s.
     limits
-        m/s, slower closing does not count; and s, the step.
+        Closing speed (m/s) below which a contact does not count, and the step (s).
     """
     contacts, states, load_speed = resolved
     negligible, dt = limits

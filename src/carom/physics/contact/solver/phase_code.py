@@ -1,9 +1,9 @@
 """The machine code of the solver's phases, by address.
 
 Each phase is a kernel ``(first, end, system)``, which processes the pieces [first, end). The kernels that lead a job
-call phases by address, which shortens compilation: each phase is compiled separately, by whichever process is first,
-and only if a scene needs it. Calls by name would compile all phases into the caller, and take a second per phase for
-passing the arrays of a `ConstraintSystem`.
+call phases by address. This shortens compilation: each phase is compiled separately, only if a scene needs it, and by
+the first process that needs it. Calls by name would compile all phases into the caller, which takes a second per phase
+because the arrays of a `ConstraintSystem` are passed.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class PhaseCode:
             self._compile(job, PHASES[job], system)
 
     def compile_ahead(self, job: int, system: ConstraintSystem) -> None:
-        """Compile the phases of a job in reverse order, so that another process may begin with the first."""
+        """Compile the phases of a job in reverse order, so that another process may begin with the first phase."""
         self._compile(job, reversed(PHASES[job]), system)
 
     def _compile(self, job: int, phases: Iterable[int], system: ConstraintSystem) -> None:
@@ -115,7 +115,7 @@ def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> Any:
 
 
 def _kind(system: ConstraintSystem) -> int:
-    """Return the kind of a system, which follows from the layouts of its arrays."""
+    """Return the kind of a system, which the layouts of its arrays determine."""
     layout = layout_of(system)
     if layout not in _kinds:
         _kinds[layout] = kind_for(system)

@@ -42,19 +42,20 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.jit.task import assign, do, kind_of, lay_out, leading, led, raise_fault
 from carom.physics.jit.team import lead_phase
 
-MAX_ROUNDS = 20  # of conjugate gradients
-MAX_ITERATIONS = 100  # in a round
-# In meshed islands that need not converge. Where grains flow, gaps and sliding make the equations contradict each
-# other: in a drum, 85 iterations leave the overlaps and closing speeds that 8 leave, and no round twice the overlaps.
+MAX_ROUNDS = 20  # most rounds of conjugate gradients
+MAX_ITERATIONS = 100  # most iterations in a round
+# Most iterations in a round for meshed islands that need not converge. Where grains flow, gaps and sliding make the
+# equations contradict each other. In a drum, 85 iterations leave the same overlaps and closing speeds as 8; without any
+# round, overlaps are twice as deep.
 MAX_MESHED_ITERATIONS = 8
 MAX_FURTHER_ITERATIONS = 256  # most Gauss–Seidel iterations after the last round
 # After these iterations, a contact of a meshed island is unsolved only if it closes faster than its rest speed, where a
-# run would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected: to go on while
-# 16 iterations halve the violation, 1.3 times as slow; to go on in heaps that hardly move. Both leave the same
-# overlaps.
+# run would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected, since overlaps
+# stay the same: continuing as long as 16 iterations halve the violation, which takes 1.3 times as long; continuing in
+# heaps that hardly move.
 MAX_MESHED_FURTHER = 16
-GROWN = 1e6  # growth of the largest impulse in a search; more shows that there is no solution
-MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more is the last
+GROWN = 1e6  # growth of the largest impulse in a search; more growth shows that there is no solution
+MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more than this is the last round
 SOLVED = 1e-3  # fraction of a round's first r·z at which its iterations end, for contacts that are to converge
 
 
@@ -64,7 +65,7 @@ class Phases(NamedTuple):
     addresses: IntArray  # addresses of the code, by phase
     doer: int  # address of the function that processes a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
-    edges: IntArray  # this and the following fields are those of `ConstraintSystem`
+    edges: IntArray  # this field and the following ones are fields of `ConstraintSystem`
     piece_results: RecordArray[PieceResultsRecord]
     sums: RecordArray[BlockSumsRecord]
     settings: RecordArray[SettingsRecord]
@@ -146,7 +147,7 @@ def _sum_up_approaches(phases: Phases) -> None:
 
 @leading(inline)
 def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
-    """Find the impulses of resting contacts, starting from the given ones, and book their energies."""
+    """Find the impulses of resting contacts, starting from the impulses in the records, and book their energies."""
     pieces, settings = len(phases.piece_results), phases.settings[0]
     _share(board, phases, PREPARE, 0, pieces, True)
     largest = _largest_residual(phases)
@@ -205,7 +206,8 @@ def _iterate_on(board: IntArray, phases: Phases) -> int:
     """Continue to iterate if conjugate gradients did not converge; return the number of iterations.
 
     If kinetic friction is less than static friction, contacts may alternate between sticking and sliding without end.
-    In these iterations, a contact that has slid since the kick keeps sliding; in meshed islands, in all iterations.
+    In these iterations, a contact that has slid since the kick keeps sliding; in meshed islands, it keeps sliding in
+    all iterations.
     """
     pieces, settings, iterations = len(phases.piece_results), phases.settings[0], 0
     settings.slides_above, settings.tolerance = 0.0, INTOLERABLE

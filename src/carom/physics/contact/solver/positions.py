@@ -1,8 +1,8 @@
 """Position correction: overlapping bodies at rest are pushed apart, without a velocity along the normal.
 
 A pair is pushed by δ along n. Each body moves in proportion to its inverse mass, so the centre of mass stays where it
-is. That alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative
-velocity of the centres). Scaling v_t by d/(d + δ) conserves it:
+is. The push alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative
+velocity of the centres). Scaling v_t by d/(d + δ) conserves the angular momentum:
 
     (d + δ) n × (v_t d/(d + δ)) = d n × v_t
 
@@ -13,14 +13,14 @@ Only resting contacts are pushed. Bodies in an impact separate by their rebound,
 energy from a gas at every collision.
 
 The ledger books the change of the energy. For the scaling, the booked energy is exact, at the velocities after the
-first kick. For the potential, it is the work against gravity at the new positions, with an error of (δ/d)² of the
-pair's potential.
+first kick. For the potential, the booked energy is the work against gravity at the new positions, whose error is (δ/d)²
+times the pair's potential.
 
-Rejected: using the mean of the forces at the start and the end of the step, which is of the next order. In the collapse
-of 500 boulders, both have errors of 10⁻⁶ of the energy scale.
+Rejected: the mean of the forces at the start and the end of the step, although its error is of the next order. In the
+collapse of 500 boulders, both have errors of 10⁻⁶ of the energy scale.
 
-Contacts of a colour are corrected eight at a time (`correct_block`), with the same bits. Both forms call the same
-formulas, which accept doubles or lanes.
+Contacts of a colour are corrected eight at a time (`correct_block`), with the same bits as one by one. Both forms call
+the same formulas, which accept doubles or lanes.
 """
 
 from __future__ import annotations
@@ -53,19 +53,20 @@ from carom.scene.schema import Coefficients
 
 BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 
-# Of the rest speed; contacts that separate faster are not pushed. With 1, slow rebounds would be pushed (10 times the
-# energy error in the worst step); with 0, a pile would keep overlaps (a quarter of a radius while it forms).
+# Fraction of the rest speed; contacts that separate faster than this are not pushed. With 1, slow rebounds would be
+# pushed (10 times the energy error in the worst step). With 0, a pile would keep overlaps (a quarter of a radius while
+# it forms).
 MAX_SEPARATION = 0.1
 
-NEVER = -2  # the "iteration" of a body that was never pushed; less than any iteration minus 1
-AMOUNTS = 1  # line of `CONTACT_STATE` with the ledger, the pushes and the flags
+NEVER = -2  # the "iteration" in which a body was pushed that never was; less than any iteration minus 1
+AMOUNTS = 1  # line of `CONTACT_STATE` with the energies, the pushes and the flags
 
 
 @kernel
 def count_contacts(pairs: IntArray, counts: IntArray) -> None:
     """Count the contacts of each body and plane.
 
-    One thread takes 40 µs for 40 000 contacts, two threads with atomic additions 250 µs.
+    One thread takes 40 µs for 40 000 contacts, two threads with atomic additions take 250 µs.
     """
     counts[:] = 0
     for c in range(len(pairs)):
@@ -78,10 +79,10 @@ def count_contacts(pairs: IntArray, counts: IntArray) -> None:
 def find_push_fractions(
     lo: int, hi: int, pairs: IntArray, counts: IntArray, states: RecordArray[ContactStateRecord]
 ) -> None:
-    """Compute the fraction of each overlap that an iteration removes: 1 / (contacts of the end that has fewer).
+    """Compute the fraction of each overlap that an iteration removes: 1 / (fewest contacts of an end).
 
-    Removing the whole overlap would push each body into the next one. A compressed pile would then never come to rest,
-    and in a falling stack of 500 balls every other contact would keep an overlap of 0.24 r instead of 0.06 r.
+    Removing the whole overlap would push each body into the next one. A compressed pile would then never come to rest.
+    In a falling stack of 500 balls, every other contact would keep an overlap of 0.24 r instead of 0.06 r.
     """
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
@@ -94,7 +95,7 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
     Later iterations visit only contacts with an end that the previous iteration pushed. All other contacts have not
-    changed since they needed no push: they do not overlap, or are not at rest.
+    changed since an iteration found that they need no push: they do not overlap, or are not at rest.
     """
     n = body_count(system)
     for piece in range(first, end):
@@ -226,7 +227,7 @@ def separates(vn: float, load_speed: float, e: float) -> bool:
 def push_of(
     fraction: float, overlap: float, a: PushedBodyRecord, b: PushedBodyRecord
 ) -> tuple[float, float, float, float]:
-    """Return δ in m, the fractions of it by which the bodies move, and the reduced mass μ in kg."""
+    """Return δ in m, the fractions of δ by which the bodies move, and the reduced mass μ in kg."""
     total = a.inverse_mass + b.inverse_mass
     return fraction * overlap, a.inverse_mass / total, b.inverse_mass / total, 1.0 / total
 
@@ -295,7 +296,7 @@ def _correct_one_by_one(system: ConstraintSystem, first: int, again: float) -> f
 def correct_block(code: Code, system: Any, first: Any, again: Any) -> Any:
     """Push the contacts between bodies of a block apart once; return 1 if an overlap needs another iteration.
 
-    Otherwise return ``again``. Contacts with planes are skipped.
+    If no overlap does, return ``again``. Contacts with planes are skipped.
     """
     result = code.variable(again)
     _Correction(Block(code, first)).correct(result)
@@ -311,7 +312,7 @@ class _Correction:
     def correct(self, result: Any) -> None:
         """Push apart the contacts that overlap, are at rest, and have an end that the previous iteration pushed.
 
-        Store 1 at the address ``result`` if one of them needs another iteration.
+        Store 1 at the address ``result`` if one of these contacts needs another iteration.
         """
         visited = self._visited()
         with self._builder.if_then(visited.any):
@@ -327,7 +328,7 @@ class _Correction:
                     self._builder.store(DOUBLE(1.0), result)
 
     def _visited(self) -> Mask:
-        """Return the contacts between bodies with an end that the previous iteration pushed; in the first, all."""
+        """Return the contacts between bodies with an end that the previous iteration pushed; at first, all contacts."""
         builder, block = self._builder, self._block
         iteration = block.number("iteration")
         is_first = builder.icmp_signed("==", iteration, WORD(0))
@@ -339,7 +340,7 @@ class _Correction:
     def _push(self, overlap: Lanes, overlaps: Mask) -> Mask:
         """Push apart the overlapping contacts that are at rest; return them.
 
-        Contacts that are not pushed are written with unchanged bits, since a branch for each would often be
+        Contacts that are not pushed are written with unchanged bits, because a branch for each contact would often be
         mispredicted. Fixed bodies are not written, since other threads' pieces may share them.
         """
         a, b, block, n, d = self._a, self._b, self._block, self._n, self._d

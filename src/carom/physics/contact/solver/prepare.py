@@ -66,13 +66,13 @@ from carom.physics.vector import vector
 TOUCHING = 1e-9  # gap of touching bodies, relative to the sum of radii; iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # number of contacts whose records fit into the first-level cache
 
-LOADED = 1e-5  # weight, in the scale of convergence, of the velocity change by the warm-start impulse;
+LOADED = 1e-5  # weight of the velocity change by the warm-start impulse in the scale of convergence;
 # rounding is 1e-16 of that velocity change
 
-# A change of a contact's velocities that needs no further iteration. A smaller change stays in the impulses with which
-# the next kick starts, so a pile at rest converges from step to step.
-SMALL_OF_REST = 1e-4  # of the rest speed
-SMALL_OF_RADIUS = 3e-6  # the same change in smaller radii per step
+# A change of a contact's velocities that needs no further iteration. The impulses keep even a smaller change, and the
+# next kick starts from them, so a pile at rest converges from step to step.
+SMALL_OF_REST = 1e-4  # as a fraction of the rest speed
+SMALL_OF_RADIUS = 3e-6  # as a fraction of the smaller radius per step
 
 
 @long_kernel
@@ -150,7 +150,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
             if drift > 0.0:
                 bias = max(0.0, gap) / drift
                 if j >= count:
-                    # slip of the body after the friction of the warm start, which is close to the final friction
+                    # slip of the body after the friction of the warm start: it is close to the final friction
                     fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
                     along = (-tx - fx, -ty - fy, -tz - fz)
                     normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
@@ -160,7 +160,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                     if spins:
                         moves = place, along, bias, min(0.0, gap), drift
                         set_half_turn(contact, system.surface, j - count, body_i, moves, turned)
-                # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
+                # a resting contact closes no faster than the accelerations in this kick and half of the drift allow
                 fastest = rest_speed * ((booked + 0.5 * drift) / dt)
                 is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
             else:
@@ -168,7 +168,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                 is_open = gap > 0.0 and state.apart
                 fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
             contact.velocity_bias, state.biased, state.slides = bias, drift == 0.0 and bias < 0.0, False
-            # bodies of an open contact that nothing has pressed meet in an impact, if at all
+            # if nothing has pressed the bodies of an open contact, they meet in an impact, if at all
             meets = is_open and not (system.pressed[i] or system.pressed[j])
             system.held[c] = not (meets or -vn > fastest)
             negligible = min(SMALL_OF_REST * system.load_speed[c], SMALL_OF_RADIUS * smaller_arm(contact) / dt)
@@ -195,7 +195,7 @@ PlacedContacts = tuple[IntArray, IntArray, RecordArray[ContactRecord]]
 
 @dataclass(slots=True)
 class ImpulseCache:
-    """The impulses of all contacts in the last kick, with which the next kick starts."""
+    """The impulses of all contacts in the last kick, from which the next kick starts."""
 
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each contact's record
@@ -218,14 +218,14 @@ class ImpulseCache:
 
     @property
     def impulse(self) -> FloatArray:
-        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs; (m, 7) with Λ if the law resists rolling."""
+        """A copy of λ_n and λ_t in the order of the pairs, (m, 4) N s; (m, 7) with Λ if the law resists rolling."""
         impulses = np.empty((len(self.place), len(IMPULSES)))
         _gather_impulses(self.place, self.contacts, impulses)
         angular = angular_impulses_of(self.contacts)
         return np.concatenate((impulses, angular[self.place]), axis=1) if angular.shape[1] else impulses
 
     def impulse_of(self, contacts: RecordArray[ContactRecord]) -> FloatArray:
-        """Return `impulse`, with angular impulses if these contacts have them: 0 where there are none yet."""
+        """Return `impulse`, with angular impulses if these contacts have them: 0 for contacts without any."""
         impulses = self.impulse
         missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - impulses.shape[1]
         return np.pad(impulses, ((0, 0), (0, missing))) if missing else impulses
@@ -233,7 +233,7 @@ class ImpulseCache:
     def carry_to(
         self, pairs: IntArray, place: IntArray, kick: float, contacts: RecordArray[ContactRecord], team: Team
     ) -> None:
-        """Write the impulses with which contacts start, scaled to the length of a kick; 0 for new contacts.
+        """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
 
         Parameters
         ----------
@@ -297,7 +297,7 @@ def carry_each(
 
 @long_kernel
 def _carry(lo: int, hi: int, before: PlacedContacts, ratio: float, now: PlacedContacts) -> None:
-    """Find each pair among the old ones, both sorted, and transfer its impulse."""
+    """Find each pair among the old pairs, both in sorted order, and transfer its impulse."""
     old_pairs, old_place, old_contacts = before
     pairs, place, contacts = now
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0

@@ -1,12 +1,12 @@
 """The steps after an iteration: a line search, and conjugate gradients where iterations converge too slowly.
 
-**Line search.** An iteration passes a load from contact to contact, and only a small fraction of it through a light
-body between heavy ones. Therefore the change s of all impulses in an iteration is repeated α times. α minimises the
-same energy as the solution, and is limited so that no impulse is attractive (λ_n ≥ 0):
+**Line search.** An iteration passes a load from contact to contact, but passes only a small fraction of the load
+through a light body between heavy ones. Therefore the change s of all impulses in an iteration is repeated α times. α
+minimises the energy that the solution minimises, and is limited so that no impulse is attractive (λ_n ≥ 0):
 
     α = -s·(v + c) / s·(A s),   v = (v_n, u) at the contacts, A s the change of v by the impulses s
 
-Written as sums over bodies, whose velocities and spins s changes by p and t:
+Both products are sums over bodies, whose velocities and spins change by p and t when the impulses change by s:
 
     s·v = Σ m p·v + I t·ω,    s·A s = Σ m p² + I t²
 
@@ -22,8 +22,8 @@ where s is the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1
 diagonal of A. Contacts with attractive impulses are then released, and further Gauss-Seidel iterations determine again
 which contacts carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
 
-A stack of n spheres takes about n of these iterations, but about n² iterations of `solve`. The same holds for a load on
-much lighter spheres.
+A stack of n spheres takes about n of these iterations, but about n² iterations of `solve`. A load on much lighter
+spheres gains as much.
 """
 
 from __future__ import annotations
@@ -64,12 +64,12 @@ from carom.physics.sheared_box import slope_of_image
 
 MOTION = 6  # fields of each line before masses and inertias: v and ω, or p and t
 
-# The closing speed that the search may leave to a contact. Chosen so that the columns of test_convergence.py stay
-# upright. With a tenth of REST_TOLERANCE, cloud-collapse takes twice as long, and none of its errors changes by a
+# The closing speed that the search may leave to a contact. It is chosen so that the columns of test_convergence.py stay
+# upright. With a tenth of `REST_TOLERANCE`, cloud-collapse takes twice as long, and its errors change by less than a
 # tenth.
 INTOLERABLE = 10.0  # factor on the tolerated closing speed above which the search starts
-REST_TOLERANCE = 0.3  # of the rest speed
-APPROACH_TOLERANCE = 0.03  # tolerated closing speed relative to the impact's
+REST_TOLERANCE = 0.3  # tolerated closing speed, as a fraction of the rest speed
+APPROACH_TOLERANCE = 0.03  # tolerated closing speed, as a fraction of the impact's closing speed
 RADIUS_TOLERANCE = 3e-5  # tolerated closing speed, in smaller radii per step
 # Rejected: 10⁻³ in meshed islands. A heap of 1000 (benchmarks/heap.py) then falls 1.1 times as fast, with the same
 # overlaps, but at rest its steps take 1.7 times as long.
@@ -137,8 +137,8 @@ def _repeat_each(bodies: RecordArray[BodyStateRecord], body: int, alpha: float) 
 def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
     """Add α p to v and α t to ω of a body, and clear p and t (``dvx`` to ``dwz``).
 
-    A vector holds one line of the record. Changing the six fields one by one took twice as long, which cost 1.4 % of a
-    step of `cloud-collapse`.
+    A vector holds one line of the record. Changing the six fields one by one took twice as long, and made a step of
+    `cloud-collapse` 1.4 % longer.
     """
     builder, record = code.builder, code.element("bodies", body)
     lines = [line_of(builder, record, line) for line in (VELOCITY, CHANGE)]
@@ -151,7 +151,7 @@ def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
 
 @inner
 def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
-    """Compute the excess of each piece's worst contact over its tolerance, in m/s; 0 within the tolerance."""
+    """Compute by how much (m/s) each piece's worst contact exceeds its tolerance; 0 within the tolerance."""
     for piece in range(first, end):
         system.piece_results[piece].residual = _violation(piece, system)
 
@@ -174,7 +174,7 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
         if contact.normal_impulse > 0.0:
             missed = abs(missed)
         small = smaller_arm(contact)
-        # before a drift, approach_speed is from the previous step, and checkpoints do not store it
+        # before a drift, approach_speed is still the value of the previous step, which checkpoints do not store
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(system.load_speed[c], approach, state.overlap / small, small / settings.dt)
         most = tolerance * allowed + negligible
@@ -191,11 +191,11 @@ def tolerated(load_speed: float, approach: float, depth: float, radius_per_step:
     Parameters
     ----------
     load_speed, approach
-        m/s, of the contact.
+        Load speed and closing speed of the contact, m/s.
     depth
         Overlap relative to the smaller radius.
     radius_per_step
-        m/s, smaller radius over dt.
+        Smaller radius divided by dt, m/s.
     """
     if approach <= load_speed and depth > DEEP:
         return DEEP_TOLERANCE * load_speed
@@ -248,7 +248,7 @@ def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
 
 @inline
 def _is_searched(c: int, search: SearchRecord, system: ConstraintSystem) -> bool:
-    """Return whether the search continues for a contact: it has free impulses, and its island is not left as it is."""
+    """Return whether the search continues for a contact: it has free impulses, in an island that is still searched."""
     if not (search.free_normal or search.free_tangent):
         return False
     return not (system.settings[0].ignores_meshed and system.enough[c] > ENOUGH)
@@ -256,9 +256,9 @@ def _is_searched(c: int, search: SearchRecord, system: ConstraintSystem) -> bool
 
 @inline
 def _is_left(results: PieceResultsRecord, system: ConstraintSystem) -> bool:
-    """Return whether the search ends for all contacts of a piece: all of its islands are left as they are.
+    """Return whether the search has ended for all contacts of a piece, in all of its islands.
 
-    In a drum with 10⁴ spheres, half of the iterations serve ten contacts.
+    In a drum with 10⁴ spheres, half of the iterations serve only ten contacts.
     """
     return bool(system.settings[0].ignores_meshed and not results.is_exact)
 

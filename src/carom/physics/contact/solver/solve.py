@@ -7,9 +7,9 @@ each kick of length h, iterations over the contacts find the impulses λ of all 
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
 (Moreau 1988; Jean 1999; Catto 2005 calls them sequential impulses). The *totals* are clamped, not the increments, so
-later iterations can reduce impulses that earlier ones made too large. The totals start from the totals of the previous
-kick, scaled by the ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line search
-follows each iteration (`line_search`).
+later iterations can reduce impulses that earlier iterations made too large. The totals start from the totals of the
+previous kick, scaled by the ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line
+search follows each iteration (`line_search`).
 
 After the last kick, touching contacts must not close (c = 0; c < 0 with Baumgarte's bias), and an open contact may
 close its gap in the next step (c = gap/dt). After the first kick, bodies may close by c dt, so that they touch at the
@@ -19,10 +19,10 @@ end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity o
 
 Without the square root, two spheres that roll about each other would separate along the tangent, and lose their contact
 in every other step. The scheme is RATTLE (Andersen 1983) for contacts. The slip is taken in the middle of the drift, u
-- q (`half_turn`): as the normal turns, a body that spins about it begins to slip.
+- q (`half_turn`): as the normal turns, a body that spins about the normal begins to slip.
 
-Contacts of a colour are solved eight at a time (`solve_block`), with the same bits. Both forms call the same formulas,
-and call the law for each contact separately, so that a law needs no second form.
+Contacts of a colour are solved eight at a time (`solve_block`), with the same bits as one by one. Both forms call the
+same formulas, and call the law for each contact separately, so a law needs only one form.
 
 Impacts have been resolved before, one by one, with restitution (`impacts`). A step without resting contacts skips this
 phase.
@@ -100,7 +100,8 @@ from carom.physics.jit.vectors import (
 from carom.physics.sheared_box import along_image, slope_of_image
 from carom.scene.schema import Coefficients
 
-HOLD_CONVERGED = 1e-8  # change, relative to the largest velocity that a contact removes, below which iterations end
+# iterations end when changes are below this fraction of the largest velocity that a contact removes
+HOLD_CONVERGED = 1e-8
 Vector = Sequence[Lanes]
 KINDS = (
     *(CONTACT, CONTACT_ON_WALL, CONTACT_ON_MOVING_WALL, CONTACT_OF_IMAGE),
@@ -124,9 +125,10 @@ def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
 
 @inner
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
-    """Solve the contacts of a piece once, each with the velocities after the contacts before it.
+    """Solve the contacts of a piece once, each with the velocities that the contacts before it left.
 
-    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the remaining ones one by one.
+    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the remaining contacts one by
+    one.
 
     Parameters
     ----------
@@ -149,7 +151,7 @@ def _solve_each(
 ) -> tuple[float, float, float]:
     """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope.
 
-    ``totals`` are the totals of the previous contacts.
+    ``totals`` are these three values for the previous contacts.
     """
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
@@ -238,7 +240,7 @@ def friction(
 def _resist_rotation(
     contact: ContactRecord, material: Coefficients, a: BodyStateRecord, b: BodyStateRecord, normal: float, alpha: float
 ) -> float:
-    """Change the angular impulse to end Ω, as far as the law allows; return the change of the surface speed, in m/s.
+    """Change the angular impulse to end Ω, if the law allows so much; return the change of the surface speed, in m/s.
 
     The surface speed is measured at a lever arm's distance from the centre.
     """
@@ -267,7 +269,7 @@ def _solve_one_by_one(
 
 @instruction(_solve_one_by_one, returns=("float64",) * 3, first="intp")
 def solve_block(code: Code, system: Any, first: Any, totals: Any, turning: Any) -> list[Any]:
-    """Solve the contacts of a block; return ``totals`` including theirs. Arguments as for `solve`."""
+    """Solve the contacts of a block; return ``totals`` with their values included. For the arguments see `solve`."""
     solution = _Solution(Block(code, first))
     solution.solve(turns=len(code.kinds["turning"]) > 0)
     return solution.totals(*(code.builder.extract_value(totals, k) for k in range(3)))
@@ -346,7 +348,7 @@ class _Solution:
     def _resist_rotation(
         self, contact: RecordLanes, bodies: Sequence[RecordLanes], torque: Sequence[Lanes], alpha: Lanes
     ) -> None:
-        """Change the angular impulse to end Ω after the friction ``torque``, as far as the law allows."""
+        """Change the angular impulse to end Ω after the friction ``torque``, if the law allows so much."""
         block = self._block
         a, b = bodies
         spins = [
@@ -376,7 +378,7 @@ class _Solution:
         self._change = greater(self._change, surface_speed.where(rotates, block.nothing))
 
     def _limited(self, normal: Lanes, ending: Vector) -> list[Lanes]:
-        """Return the angular impulse that the law allows, contact by contact, given the one that would end Ω."""
+        """Return the angular impulse that the law allows, contact by contact, given the impulse that would end Ω."""
         builder, block = self._builder, self._block
         kinds = [*(block.kind_of(name).dtype for name in ("contacts", "materials")), *["float64"] * 4]
         impulses = []
@@ -387,7 +389,7 @@ class _Solution:
         return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
 
     def totals(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
-        """Return the largest change, the limit of the step, and the slope; all include the previous contacts."""
+        """Return the largest change, the limit of the step, and the slope; all three include the previous contacts."""
         largest, limit = spread(self._builder, change), spread(self._builder, step_limit)
         small = read_doubles(self._builder, self._block.address("small_change", self._block.places[0]))
         matters = self._held & (self._change > small) & (self._change > largest)
@@ -401,7 +403,7 @@ class _Solution:
         return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
-        """Return the biases c, see `bias_along_arc`; at planes, and without a drift, they are along the normal."""
+        """Return the biases c, see `bias_along_arc`; at planes, and without a drift, for a path along the normal."""
         builder, block, bias = self._builder, self._block, contact.velocity_bias
         between = block.between_bodies
 
@@ -428,7 +430,8 @@ class _Solution:
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
         kinds = [*records, "boolean", *["float64"] * 4]
         enough = read_doubles(builder, block.address("enough", block.places[0]))
-        keeps_sliding = self._held & (enough > block.setting("slides_above"))  # only held contacts are marked
+        # only the state of held contacts is marked as sliding
+        keeps_sliding = self._held & (enough > block.setting("slides_above"))
         impulses = []
         for k, material in enumerate(block.materials()):
             numbers = [value.lane(k) for value in (normal, *ending)]

@@ -1,4 +1,4 @@
-"""The arrays of the constraint system, which each step uses again."""
+"""The arrays of the constraint system, which all steps share."""
 
 from __future__ import annotations
 
