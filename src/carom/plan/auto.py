@@ -16,51 +16,56 @@ from carom.scene.matter import body_mass, made_of, mean_mass
 
 FRAMES = 600  # frames of an "auto" recording: enough to scrub through smoothly, few enough to open at once
 FEWEST_FRAMES = 50
-AUTO_BYTES = 300_000_000  # "auto" recordings of many bodies get fewer frames, to stay below this size
-BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
+AUTO_BYTES = 300_000_000  # largest "auto" recording: with many bodies, it gets fewer frames
+BYTES_PER_BODY_AND_FRAME = 60  # bytes for a centre, a quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine, unless a run would take
-FEWEST_STEPS = 1e6  # steps of that length: 1 s is not a time scale of orbits, and would give a year 3 × 10⁷ steps
-STRAIN_PER_STEP = 1e-3  # of a sheared packing; a strain of 0.015 halves the stress at a packing fraction of 0.54
+FEWEST_STEPS = 1e6  # this many steps of `MAX_DT`: 1 s is no time scale of orbits, and would give a year 3 × 10⁷ steps
+# largest strain of a packing in a step; a strain of 0.015 halves the stress at a packing fraction of 0.54
+STRAIN_PER_STEP = 1e-3
 STEPS_PER_OSCILLATION = 100  # fewest steps per oscillation of a wall: contacts are held against its mean velocity
 
-STEP_GROWS_UP_TO = 100  # bodies up to which the step grows; with more, "auto" steps are a tenth of the fall time `FALL`
-STEP_PER_BODY = 1e-3  # fraction of that time for each body: steps of few bodies are cheap, so they may be shorter, for
+# bodies up to which the step grows; with more bodies, "auto" steps are a tenth of the fall time `FALL`
+STEP_GROWS_UP_TO = 100
+STEP_PER_BODY = 1e-3  # fraction of the fall time for each body: steps of few bodies are cheap, and may be shorter, for
 # accurate flights; bodies held by contacts always have the step for `STEP_GROWS_UP_TO` bodies (docs/physics.md, 3)
 
-SMOOTH_UP_TO = 8  # bodies without contacts; with more, a step that ignores the forces misses encounters, and
+# bodies without contacts up to which motion counts as smooth; with more, "auto" steps miss encounters, and
+SMOOTH_UP_TO = 8
 # fourth order costs more than it gains
 
-PAIRS_UP_TO = 100  # bodies up to which the step examines each pair; with more, that costs as much as gravity
-PAIR_FRACTION = 0.01  # fraction of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
-PULL_FRACTION = 0.02  # fraction of the largest acceleration's time scale; a pair of equal bodies has half that scale
-SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts form and break
+# bodies up to which the step rule examines each pair; with more bodies, that costs as much as gravity
+PAIRS_UP_TO = 100
+PAIR_FRACTION = 0.01  # step over the shortest time scale of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
+PULL_FRACTION = 0.02  # step over the time scale of the largest acceleration; a pair of equal bodies has half that scale
+SMOOTHING = 0.2  # weight of the new step in the moving average, if contacts form and break
 
-# largest motion of a body in a step over its radius (docs/trade.md)
-LATE_CFL = 0.5  # the same if impacts are resolved at the end of the step
-FREE_CFL = 1.0  # the same with exact times of impact and without forces, where shorter steps gain nothing
+# largest motion of a body in a step, divided by its radius (docs/trade.md)
+LATE_CFL = 0.5  # if impacts are resolved at the end of the step
+FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
 
 
-ORBITS_UP_TO = 1000  # bodies far apart about a dominant one, without contacts; from 300 to 900, gauss-radau15 takes 0.6
+ORBITS_UP_TO = 1000  # most bodies that orbit far apart without contacts; for 300 to 900 bodies, gauss-radau15 takes 0.6
 # times the time of leapfrog on circles, one to three times with encounters, at a thousandth of its error or less
 
-BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
+BOUNCES_UP_TO = 200  # most bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
 
 TREES = ("tree", "fast-multipole")  # methods that sum over boxes of bodies, with an error set by the opening angle
 TREE_FROM = 5000  # bodies from which "auto" chooses a tree, which takes a third to a half of the time of a direct sum
 
-HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600 steps per revolution of a rolling pair
+HELD_PART = 0.01  # largest motion of a held body in a step, in radii: 600 steps per revolution of a rolling pair
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # largest step of held bodies, in multiples of their usual step
 WIDEST_FALL = 0.5  # largest step, as a fraction of the time of a fall through the smallest radius
-WIDEST_PULL_FRACTION = 0.1  # largest step over the shortest time of a pair: 90 steps in a circular orbit
+WIDEST_PULL_FRACTION = 0.1  # largest step over the shortest time scale of a pair: 90 steps in a circular orbit
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:
     """Decide how gravity is summed.
 
-    Direct sum and tree take equally long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" switches at
-    `TREE_FROM`. Below that, a tree saves milliseconds at most, and the direct sum conserves momentum to round-off.
+    A direct sum and a tree take equally long for 800 bodies in a uniform ball, and for 2000 bodies in a cluster. "auto"
+    switches at `TREE_FROM`. Below that number, a tree saves milliseconds at most, and the direct sum conserves momentum
+    to round-off.
     """
     method = scene.gravity.method
     if method == "none" or not (interactions.gravity(scene).modelled or "gravity" in forced_parts(scene)):
@@ -78,7 +83,7 @@ def uses_tree(scene: Scene) -> bool:
 def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
     """Decide when impacts are resolved: at their own times, wherever the integrator can locate them.
 
-    An impact at the end of a step has the direction, friction and spin of overlapping spheres. That error is the same
+    An impact at the end of a step has the direction, friction and spin of overlapping spheres. This error is the same
     with and without forces that press the bodies together, so no force changes the timing (docs/trade.md).
     """
     return "end-of-step" if why_late(scene) else "time-of-impact"
@@ -111,7 +116,7 @@ def largest_speed(scene: Scene) -> float:
 def most_steps(scene: Scene, first: float) -> float:
     """Return the largest number of steps of a run, given its first step (s) and the fastest conceivable contacts.
 
-    Bodies that fall onto the surface of another reach its escape speed, v = √(2 G m/r). The velocity limit then allows
+    Bodies that fall onto another body reach its escape speed, v = √(2 G m/r). The velocity limit then allows
     a step of κ r/v to the smallest body that slides or rolls there.
     """
     duration, fixed, limit = scene.time.duration, scene.time.fixed_dt, cfl(scene)
@@ -143,7 +148,8 @@ def integrator(scene: Scene) -> Integrator:
 def _meets_seldom(scene: Scene) -> bool:
     """Return whether encounters are rare, as for planets, moons and comets.
 
-    With leapfrog's steps of at most a second, eighty years of a comet took hours. Gauss–Radau takes a second.
+    With leapfrog's steps of at most a second, eighty years of a comet took hours to compute. Gauss–Radau takes a
+    second.
     """
     if not (
         interactions.contact(scene).modelled and interactions.gravity(scene).modelled and _bounces_on_curves(scene)
@@ -200,7 +206,8 @@ def _leaves_step_free(scene: Scene) -> bool:
 def _is_smooth(scene: Scene) -> bool:
     if not interactions.differing(scene) or interactions.contact(scene).modelled or interactions.damping(scene):
         return False
-    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # a step that resolves each encounter
+    # whether the step resolves each encounter
+    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
 
 
@@ -208,7 +215,7 @@ def largest_step(scene: Scene, duration: float | None = None) -> float:
     """Return the largest step (s); infinite if the integrator sets its steps by its error or by the orbits.
 
     With a limit of 1 s, two years of the Earth's orbit would take 63 million Gauss–Radau steps instead of 79 steps.
-    The default of ``duration`` (s) is that of the scene.
+    The default of ``duration`` (s) is the scene's duration.
     """
     if scene.time.max_dt != "auto":
         return scene.time.max_dt
@@ -224,8 +231,8 @@ def largest_step(scene: Scene, duration: float | None = None) -> float:
 def target_dx(scene: Scene) -> float | None:
     """Return the largest distance (m) that an acceleration may move a body from rest in a step; None for no limit.
 
-    A fall from rest through the smallest radius r takes √(2 r/a). In a fraction s of that time, a body falls s² r.
-    Without contacts, radii do not matter. With gravity, the shortest time of a pair then limits the step.
+    A fall from rest through the smallest radius r takes √(2 r/a). In a fraction s of that time, the body falls by s² r.
+    Without contacts, radii do not matter, and with gravity the shortest time scale of a pair limits the step.
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
@@ -317,8 +324,9 @@ class StepLimits:
     max_dt: float  # s; infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
-    held_dx: float | None = None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None: no change
-    held_part: float = HELD_PART  # largest motion of a held body in a step, over its radius
+    # m, used in place of ``target_dx`` for bodies held by lasting contacts; None: ``target_dx``
+    held_dx: float | None = None
+    held_part: float = HELD_PART  # largest motion of a held body in a step, divided by its radius
     pull_fraction: float | None = None
     smoothing: float = 1.0  # weight of the new step in the moving average
 
@@ -338,11 +346,11 @@ def step_limits(scene: Scene) -> StepLimits:
 
 
 def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits:
-    """Return step limits for runs with exact times of impact: the longest useful steps, divided by a factor.
+    """Return step limits for runs with exact times of impact: the longest useful limits, divided by a factor.
 
     All limits shrink by the same factor, so that runs with different refinements differ wherever the step matters. No
     step is longer than the automatic interval of frames in a recording of ``until`` seconds, the span of the
-    look-ahead. A longer or resumed run keeps that step.
+    look-ahead. A longer or resumed run keeps the same limit.
     """
     touches = cfl(scene) is not None
     return StepLimits(
@@ -375,7 +383,7 @@ def wider_limits(scene: Scene, stride: float) -> StepLimits:
 
 
 def shorter_steps(scene: Scene, stride: float) -> tuple[StepLimits, Scene]:
-    """Return the limits of steps ``stride`` times as long, with a stride below 1, and the scene with such a fixed step.
+    """Return step limits multiplied by a ``stride`` below 1, and the scene with its fixed step multiplied as well.
 
     No other setting changes, so the method is the same.
     """
@@ -390,7 +398,7 @@ def shorter_steps(scene: Scene, stride: float) -> tuple[StepLimits, Scene]:
         limits,
         max_dt=stride * limits.max_dt,
         cfl=shorter(limits.cfl),
-        target_dx=shorter(limits.target_dx, stride * stride),  # a fall over the distance ½ a dt²
+        target_dx=shorter(limits.target_dx, stride * stride),  # `dx` = ½ a dt² is quadratic in the step
         held_dx=shorter(limits.held_dx, stride * stride),
         held_part=stride * limits.held_part,
         pull_fraction=shorter(limits.pull_fraction),

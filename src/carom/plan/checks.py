@@ -28,21 +28,21 @@ from carom.scene.wording import body_key, counted
 
 EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
 AS_ON_EARTH = 0.01  # relative difference; the field is 0.2 % stronger at the poles, and 0.3 % weaker at the equator
-NARROWEST = 4  # narrowest box, in largest radii: two bodies and the image of one of them side by side
-LIGHTEST = 100.0  # kg/m³, lightest solid; balls of cork have 200
+NARROWEST = 4  # width of the narrowest box, in largest radii: two bodies side by side with the image of one
+LIGHTEST = 100.0  # kg/m³, density of the lightest solid; balls of cork have 200
 
 INTEGRATOR: KeyPath = ("time", "integrator")
 METHOD: KeyPath = ("gravity", "method")
 BOUNDARY: KeyPath = ("domain", "boundary")
 
 
-# Errors of the positions in a cluster of 6000 points (docs/trade.md): relative to the size of the system at an opening
-# angle of 1 rad, and the power of the angle to which they are proportional.
+# Errors of the positions in a cluster of 6000 points (docs/trade.md): the error at an opening angle of 1 rad, relative
+# to the size of the system, and the power of the angle with which it grows.
 TREE_ERRORS = {
     "tree": (6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3 rad, 1.2 × 10⁻⁴ at 0.7
     "fast-multipole": (5e-4, 7),  # at most 1.8 × 10⁻⁸ at 0.3 rad, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
 }
-MONOPOLES = 19.0  # largest factor by which the error grows without quadrupoles
+MONOPOLES = 19.0  # largest factor by which the error is larger without quadrupoles
 SMALLEST_ANGLE = 0.1  # rad, angle below which a direct sum is as fast
 
 
@@ -76,7 +76,7 @@ def _refuse_missing_parts(scene: Scene) -> None:
     needed: list[tuple[str, str, KeyPath, str]] = []
     if chosen.controls_error:
         needed.append(("integrators", chosen.name, INTEGRATOR, without_radau))
-    if chosen.hierarchical:  # for close encounters
+    if chosen.hierarchical:  # gauss-radau15, for close encounters
         needed.append(("integrators", ENCOUNTERS_BY, INTEGRATOR, without_radau))
     if method != "none":
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
@@ -208,7 +208,7 @@ def _refuse_moving_facets(scene: Scene) -> None:
 def _refuse_laws_without_coefficients(scene: Scene) -> None:
     """Refuse a contact law without effect: all of its coefficients are 0 because no section states any.
 
-    The schema accepts such a law, so that old recordings of such scenes can still be read.
+    The schema accepts such a law, so that recordings of such scenes can be read.
     """
     for name in scene.contact.laws:
         default = scene.contact.law_section(name)
@@ -228,7 +228,7 @@ def _refuse_laws_without_coefficients(scene: Scene) -> None:
 
 
 def _refuse_further_forces(scene: Scene) -> None:
-    """Refuse forces of installed packages in scenes where they are not defined."""
+    """Refuse the forces of installed packages in scenes for which these forces are not defined."""
     for name in scene.forces.given:
         force = force_called(name)
         if isinstance(force, BodyForce) and not force.periodic and scene.domain.is_periodic:
@@ -246,7 +246,7 @@ def _refuse_further_forces(scene: Scene) -> None:
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
-    """Refuse settings whose errors the error estimate of the integrator does not include."""
+    """Refuse settings that cause errors which the integrator's error estimate does not include."""
     chosen, contact = integrator(scene), scene.contact
     if not chosen.ends_steps_at_impacts:
         return
@@ -362,7 +362,7 @@ def doubts(scene: Scene) -> list[str]:
         if (doubts_of := shape_called(wall.shape).doubts) is not None:
             said = doubts_of(wall.section, _median_radius(scene), units)
             found += [f"wall.{index}.{wall.shape}: {sentence}" for sentence in said]
-    # masses that give, with the default radius, a density below that of any solid
+    # masses that with the default radius give a density lower than any solid has
     light = [
         (number, density)
         for number, body in enumerate(scene.body)
@@ -381,7 +381,7 @@ def doubts(scene: Scene) -> list[str]:
 
 
 def _median_radius(scene: Scene) -> float:
-    """Return the median radius of the bodies in m; of a group, its own or the mean of its bounds."""
+    """Return the median radius (m) of all bodies; a group counts with its radius, or the mean of its bounds."""
     parts = [np.array([body.radius for body in scene.body]), *(columns.radius for columns in scene.data)]
     parts += [np.full(group.count, 0.5 * (group.radius.min + group.radius.max)) for group in scene.group]
     return float(np.median(np.concatenate(parts)))

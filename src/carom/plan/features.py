@@ -1,7 +1,7 @@
 """The parts of the model that a scene needs, and why; decided from the scene alone.
 
-A part that is not required costs no time, no memory and no bytes in the recording. Leaving out such a part does not
-change the result.
+A part that is not required costs no time, no memory and no bytes in the recording. Leaving out an unneeded part does
+not change the result.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ VARIANT_SECONDS = 10.0, 40.0  # s to compile kernels for a law, walls or a shear
 
 @dataclass(frozen=True)
 class Requirements:
-    """The parts of the model that a scene needs or forces."""
+    """The parts of the model that a scene requires, or that ``model.force`` switches on."""
 
     warm_up: Part
     adaptive_step: Part
@@ -58,7 +58,7 @@ class Requirements:
     impact_time: Part
     colouring: Part
     stabilisation: Part
-    forces: Mapping[str, Part]  # by their names
+    forces: Mapping[str, Part]  # the force parts, by name
     tree: Part
     potential: Part
     resting: Part
@@ -117,7 +117,7 @@ def require(scene: Scene) -> Requirements:
 
 
 def own_kernels(scene: Scene) -> list[str]:
-    """Return the parts of a scene that have kernels of their own, which a machine may have to compile first.
+    """Return the parts of a scene that have kernels of their own, which may have to be compiled on this machine first.
 
     Laws, shapes of walls, moving walls and sheared boxes are compiled into the kernels of contacts.
     """

@@ -19,20 +19,23 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
 DOMINANT = 0.99  # smallest fraction of the total mass in a dominant body
-# revolutions of the innermost body, for "auto"; for fewer, Gauss–Radau integration to rounding is cheap
+# fewest revolutions of the innermost body for "auto"; for fewer, integrating to rounding with Gauss–Radau is cheap
 FEWEST_ORBITS = 1000
-MOST_BODIES = 100  # most bodies for "auto"; more meet more often, and each encounter needs Gauss–Radau for all
-HILL_RADII_APART = 5.0  # distance of two orbits for "auto", so that encounters are rare; Jupiter and Saturn are 8 apart
+# most bodies for "auto"; more bodies meet more often, and each encounter needs Gauss–Radau for all bodies
+MOST_BODIES = 100
+# least distance of two orbits for "auto", so that encounters are rare; Jupiter and Saturn are 8 apart
+HILL_RADII_APART = 5.0
 LEAST_DISTANCE = 8.0  # smallest distance in sums of two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
 WIDER = 1.0 + 1e-9  # factor on a distance that exceeds any rounding
-MOST_APART = 32  # most bodies that start apart; as a system contracts, more would soon meet often, unless one dominates
+# most bodies that count as far apart, unless one dominates: in a contracting system, more would soon meet often
+MOST_APART = 32
 
 
 class Heaviest(NamedTuple):
     """The heaviest body of a scene."""
 
     name: str
-    fraction: float  # of the total mass
+    fraction: float  # fraction of the total mass that this body has
 
 
 class _Point(NamedTuple):
@@ -95,7 +98,7 @@ def why_no_hierarchy(scene: Scene) -> str:
 
 
 def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
-    """Return the number of revolutions of the innermost body about a dominant one; 0 if orbits are too close."""
+    """Return the number of revolutions of the innermost body about the dominant body; 0 if orbits are too close."""
     if scene.count > MOST_BODIES:
         return 0.0
     orbits = _orbits_about_dominant(scene)
@@ -107,7 +110,7 @@ def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
 
 
 def revolutions(scene: Scene) -> float:
-    """Return the number of revolutions of the innermost body about a dominant one; 0 without such orbits."""
+    """Return the number of revolutions of the innermost body about the dominant body; 0 without such orbits."""
     return _revolutions(scene, _orbits_about_dominant(scene))
 
 
@@ -163,7 +166,7 @@ def far_apart(scene: Scene) -> bool:
     reach = 2.0 * LEAST_DISTANCE * radius.max() * WIDER
     for k in range(1, len(radius)):
         apart = position[k:] - position[:-k]
-        if apart[:, 0].min() > reach:  # pairs farther apart in this order are out of reach, too
+        if apart[:, 0].min() > reach:  # then no pairs farther apart in this order are within reach either
             return True
         if np.any(np.sqrt((apart**2).sum(axis=1)) < LEAST_DISTANCE * (radius[k:] + radius[:-k])):
             return False

@@ -1,4 +1,4 @@
-"""The forces that accelerate bodies between contacts, and the parts of the contact model that a scene needs.
+"""The forces that accelerate bodies between contacts, and the parts of the contact model that a scene requires.
 
 `forced_parts` are the parts that ``model.force`` switches on.
 """
@@ -75,9 +75,9 @@ def contact(scene: Scene) -> Part:
 
 
 def moves_relatively(scene: Scene) -> bool:
-    """Return whether two bodies may move apart or together without forces: their velocities differ, or they overlap.
+    """Return whether two bodies may move relative to each other without forces: velocities differ, or bodies overlap.
 
-    A uniform field or a moving medium moves bodies relative to planes, walls and fixed bodies, which it does not move.
+    A uniform field or a moving medium moves free bodies relative to planes, walls and fixed bodies.
     """
     if scene.translating or scene.domain.shear:  # groups move with the flow
         return True
@@ -124,8 +124,9 @@ def load(scene: Scene) -> str:
 def pressing_wall(scene: Scene) -> str:
     """Return the kind of wall that presses without any other force; empty if there is none.
 
-    A body that moves along a curved wall with the speed v is pressed by m v²/f, with the radius of curvature f. Bounces
-    that dissipate end there, and on a wall that accelerates. Elastic bounces never end; each is an impact.
+    A body that moves along a curved wall with the speed v is pressed by m v²/f, with the radius of curvature f. On such
+    a wall, and on a wall that accelerates, bounces that dissipate come to an end. Elastic bounces never end; each is an
+    impact.
     """
     kinds = kinds_of_contacts(scene)
     if "restitution" not in functions_of(scene.contact.laws) and all(e.coefficients.restitution == 1 for e in kinds):
@@ -143,7 +144,7 @@ def flow_presses(scene: Scene) -> bool:
     """Return whether contacts in a sheared box may last, which requires impacts resolved at the end of a step.
 
     "auto" resolves the impacts of a gas at their own times. A packing has too many impacts for exact times: 150 rough
-    spheres at a fraction of 0.55 would take 40 times as long, and at 0.58 a step may take a minute.
+    spheres at a packing fraction of 0.55 would take 40 times as long, and at 0.58 a single step may take a minute.
     """
     if scene.domain.shear is None:
         return False
@@ -198,7 +199,8 @@ def torque(friction: Part) -> Part:
     return Part("torque", False, "the normal force acts on the centre")
 
 
-# The parts that a part needs to work. Their consequences, such as torques from friction, are decided as for any scene.
+# The parts that a forced part needs in order to work. Their consequences, such as torques from friction, are decided as
+# for any scene.
 _NEEDS = {
     "potential": ("gravity",),
     "tree": ("gravity",),
@@ -216,7 +218,7 @@ _NEEDS = {
 
 
 def forced_parts(scene: Scene) -> dict[str, str]:
-    """Return the forced parts, each with the entry of ``model.force`` that needs it."""
+    """Return the forced parts, each with the entry of ``model.force`` that causes it."""
     forced = {name: name for name in scene.model.force}
     for name in scene.model.force:
         for needed in _NEEDS.get(name, ()):

@@ -1,7 +1,7 @@
 """`once_a_scene`: a decision about a scene, made when it is first needed.
 
-A run of three bodies asked 140 times whether anything can touch, and 50 times for the integrator, which took half of
-the time to set up a second `Space`. Scenes are immutable, so an answer holds as long as its scene exists.
+A run of three bodies asked 140 times whether anything can touch, and 50 times for the integrator, and the answers took
+half of the time to set up a second `Space`. Scenes are immutable, so an answer holds as long as its scene exists.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Answer = TypeVar("Answer")
 
 def once_a_scene(decide: Callable[[Scene], Answer]) -> Callable[[Scene], Answer]:
     """Cache the results of a function whose only argument is a scene; exceptions are not cached."""
-    answers: dict[int, tuple[weakref.ref[Scene], Answer]] = {}  # by the address of the scene
+    answers: dict[int, tuple[weakref.ref[Scene], Answer]] = {}  # answers by the address of the scene
 
     @wraps(decide)
     def decided(scene: Scene) -> Answer:
@@ -27,7 +27,7 @@ def once_a_scene(decide: Callable[[Scene], Answer]) -> Callable[[Scene], Answer]
         if kept is not None and kept[0]() is scene:
             return kept[1]
         answer = decide(scene)
-        # Rejected: callbacks of the references. Python drops an exception raised in one, and Ctrl-C with it.
+        # Rejected: callbacks of the weak references. Python drops exceptions raised in such a callback, even Ctrl-C.
         for gone in [each for each, (reference, _) in answers.items() if reference() is None]:
             del answers[gone]
         answers[address] = weakref.ref(scene), answer

@@ -13,24 +13,26 @@ from carom.plan.auto import frame_interval, gravity_method, integrator, step_lim
 from carom.scene.load import Scene
 
 BYTES_PER_BODY = 700  # bytes for state, workspace and initial state; measured at 10⁵ bodies and rounded up
-RECORDED_BYTES_PER_BODY = 2000  # bytes for waiting and encoded frames: runs of 2 × 10⁵ bodies that record every step
-TRIALS = 1.4  # memory of an estimate, which holds several runs at once, over that of a run; measured on one scene
+# bytes for waiting and encoded frames; measured in runs of 2 × 10⁵ bodies that record every step
+RECORDED_BYTES_PER_BODY = 2000
+TRIALS = 1.4  # memory of an estimate relative to a run, since it holds several runs at once; measured on one scene
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step; with 2400, 4 × 10⁵ bodies abort
-GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
+# "direct" has 16 slabs of sums, "tree" has boxes
+GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}
 
 LEAST_PER_BODY = 5  # bytes of a frame in the file: positions on a lattice at rest take 5.6
-# Bodies in a frame of 64 kB, the window of LZ4. Frames of fewer bodies may repeat earlier frames, and take next to no
-# space.
+# Bodies in a frame of 64 kB, the window of LZ4. Smaller frames may repeat earlier frames within the window, and then
+# take almost no space.
 LEAST_BODIES = (1 << 16) // 12
 
-_UNKNOWN = 2**47  # bytes of the whole address space
+_UNKNOWN = 2**47  # bytes of the whole address space, which mean "no limit known"
 _OWN_MEMORY = Path("/proc/self/statm")  # on Linux; the second number counts pages in memory
 _CGROUPS = Path("/sys/fs/cgroup")
 
 
 def memory_estimate(scene: Scene) -> int:
-    """Estimate the memory of a run without its contacts, in bytes."""
+    """Estimate the memory of a run in bytes, without its contacts."""
     return scene.count * (BYTES_PER_BODY + GRAVITY_BYTES_PER_BODY[gravity_method(scene)])
 
 
@@ -100,7 +102,7 @@ def _group_limits(own: Path = Path("/proc/self/cgroup"), root: Path = _CGROUPS) 
             continue
         top, name = (root / "memory", "memory.limit_in_bytes") if kinds else (root, "memory.max")
         inner = Path(path.lstrip("/"))
-        for folder in (inner, *inner.parents):  # only the outermost folder may be visible in a container
+        for folder in (inner, *inner.parents):  # in a container, perhaps only the outermost folder is visible
             try:
                 yield int((top / folder / name).read_text(encoding="ascii"))
             except (OSError, ValueError):  # "max" is not a number
@@ -110,8 +112,8 @@ def _group_limits(own: Path = Path("/proc/self/cgroup"), root: Path = _CGROUPS) 
 def refuse_small_disk(scene: Scene, folder: Path, begin: float = 0.0) -> None:
     """Refuse a recording from a time (s) on that is certain not to fit on the disk of a folder. Raises RecordingError.
 
-    Only positions of bodies are counted, at the size that they cannot fall below. Runs whose number of steps is not
-    known are not judged.
+    Only positions of bodies are counted, at the smallest size that they can have. Nothing is refused if the number of
+    steps is not known.
     """
     if scene.count < LEAST_BODIES:
         return

@@ -1,4 +1,4 @@
-"""The optional parts of a step, with their requirements, in the order in which hooks call them."""
+"""The optional parts of a step, with what requires them, in the order in which hooks call them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ class StepPart(NamedTuple):
     """An optional part of a step in a scene with contacts."""
 
     target: str  # module:attribute that makes the part for a contact pipeline; see `carom.physics.contact.hooks`
-    is_required: Callable[[Scene, Requirements, bool], bool]  # of a scene, and whether its contacts are recorded
-    key: KeyPath  # that asks for it
-    remedy: Callable[[Scene], str]  # without the part
-    # module:attribute of what refuses scenes for the part, given the scene, its placed bodies and its half-spaces
+    # arguments: a scene, its requirements, and whether contacts are recorded
+    is_required: Callable[[Scene, Requirements, bool], bool]
+    key: KeyPath  # key of the scene that asks for the part
+    remedy: Callable[[Scene], str]  # returns what a user can do without the part
+    # module:attribute of the function that refuses scenes for the part, given a scene, its placed bodies and
+    # half-spaces
     refusals: str = ""
 
     @property
@@ -27,7 +29,7 @@ class StepPart(NamedTuple):
         """Whether the part was not removed from this installation."""
         try:
             return importlib.util.find_spec(self.target.partition(":")[0]) is not None
-        except ModuleNotFoundError:  # its package was removed
+        except ModuleNotFoundError:  # the part's package was removed
             return False
 
 
@@ -84,7 +86,7 @@ STEP_PARTS: dict[str, StepPart] = {
 
 
 def refusals_of(scene: Scene) -> list[str]:
-    """Return what refuses scenes for the parts that a scene requires, without the parts that were removed."""
+    """Return the functions that refuse scenes, for the installed parts that a scene requires."""
     parts = [STEP_PARTS[name] for name in required(scene, require(scene), recorded=False)]
     return [part.refusals for part in parts if part.refusals and part.is_there]
 
