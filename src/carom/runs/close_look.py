@@ -1,21 +1,20 @@
-"""Effects of contacts in an interval of a run and of its repetition with shorter steps, and allowed differences.
+"""Effects of contacts in an interval, in a run and in its repetition with shorter steps, and allowed differences.
 
 A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
-velocities differ by up to 2 J/m along the contact's normal, with J the impulse of the load in a step, and by 2 a dt
-along the acceleration a of the forces. An impact passes on the part of such a load along the impact's normal. Bodies
-that met pass this part on, and friction passes a fraction of it on to other directions. Loads allow nothing where no
-contact began, ended or changed its mode, and nothing across their normals: a ball that rolls follows its path, and a
-slow impact along a floor bounces, whatever the floor carries.
+velocities differ by up to 2 J/m along the contact's normal, where J is the impulse of the load in a step, and by 2 a dt
+along the acceleration a by the forces. An impact passes on the part of such a load that lies along the impact's normal.
+Bodies that met pass on this part, and friction passes a fraction of the part on to other directions. Loads allow no
+difference if no contact began, ended or changed its mode, and none across their normals: a rolling ball follows its
+path, and a slow impact along a floor bounces, whatever load the floor carries.
 
 Two errors of first order are allowed in addition. A load that lasts, but changes by ΔJ from one step to the next, as in
 a buckling column, is uncertain by ΔJ. The closing speed of a body that rests on something is uncertain by a dt/2 along
-the normal. The impulses of the body's impact, and their effects on all bodies that touch, have the same relative
-uncertainty: a light ball that heavy ones squeeze out leaves with this relative error.
+the normal. The impulses of the body's impact, and their effects on all touching bodies, have the same relative
+uncertainty: a light ball squeezed out by heavy ones leaves with this relative error.
 
-If several contacts acted, physics does not fix how they share impulses, nor the order of impacts at one moment. Bodies
-that touched are then equal in both runs if they keep the same share of their energy. Plastic impacts of a heavy ball
-may end all of its motion, and leave a light one with a millionth of the energy: the order of the impacts decides how
-much.
+If several contacts acted, physics fixes neither how they share impulses nor the order of simultaneous impacts. The runs
+then agree on touching bodies if the bodies keep the same share of their energy. Plastic impacts of a heavy ball may end
+all of its motion, and leave a light ball with a millionth of the energy; the order of the impacts decides how much.
 """
 
 from __future__ import annotations
@@ -38,14 +37,14 @@ from carom.state.frame import Frame
 
 LASTS = 4  # steps after which a pressing contact carries a load; the force that stops a slow impact ends sooner
 LOOK_AFTER = LASTS + 1.0  # steps for the loads of contacts after an interval
-RETURNS = 2.0  # steps: a bounce that takes longer, 2 v/a, may not be ended at rest by a step
-SHARED = 5e-2  # fraction of touching bodies' kinetic energy, before or after, within which runs may share differently
+RETURNS = 2.0  # steps; if a bounce would take longer (2 v/a), a step must not end it at rest
+SHARED = 5e-2  # fraction of the touching bodies' kinetic energy by which two runs may differ in how they share impulses
 # impulses otherwise
-TURNED = 0.01  # rad or sizes: change in a step of a torque that resists rolling, whose error is of first order
+TURNED = 0.01  # rad or sizes: change, in a step, of a torque that resists rolling; its error is of first order
 FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
-SURFACE = 2.5  # m r²/I of a ball: the factor by which friction changes its surface speed more than its velocity
+SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
 
-Pair = tuple[int, int]  # numbers of two bodies; from n on, of planes and walls
+Pair = tuple[int, int]  # numbers of two bodies; numbers from n on are planes and walls
 
 
 class Load(NamedTuple):
@@ -53,7 +52,7 @@ class Load(NamedTuple):
 
     direction: FloatArray  # (3,)
     speed: float  # m/s
-    rubs: bool  # whether the load is that of a contact with friction
+    rubs: bool  # whether the contact that carries the load has friction
 
 
 @dataclass(slots=True)
@@ -63,15 +62,15 @@ class RunInterval:
     impacts: Records
     pressed: dict[Pair, float]  # N s, largest impulse in a step of each contact that was not an impact
     changed: set[int]  # bodies with an impact, or with a contact that began, ended or changed its mode
-    loads: dict[int, list[Load]]  # by body
-    eased: dict[int, list[Load]]  # by body, the loads by which the last step differs from the one before
-    depth: FloatArray  # (n,) m, deepest overlap of each body; corrections may end it at another time
+    loads: dict[int, list[Load]]  # loads by body
+    eased: dict[int, list[Load]]  # by body, the differences in load between the last step and the step before it
+    depth: FloatArray  # (n,) m, deepest overlap of each body; another run may correct it at another time
     friction: float  # the largest ratio of a tangential to a normal impulse
     vague: dict[Pair, float]  # largest relative uncertainty of fast impacts of supported bodies, by pair
 
     @property
     def pairs(self) -> set[Pair]:
-        """The pairs that pressed or met."""
+        """The pairs that pressed each other or met."""
         return {(int(row["i"]), int(row["j"])) for row in self.impacts} | set(self.pressed)
 
 
@@ -90,12 +89,12 @@ class Touching:
     vague: float  # relative uncertainty of the effects of impacts
 
     def excess(self, vector: FloatArray, share: float = 1.0) -> float:
-        """Return the size of a difference beyond the allowance for loads, for velocities or ``share`` times as much."""
+        """Return by how much a difference exceeds the allowance for loads, which is multiplied by ``share``."""
         return _beyond(vector, [*self.eased, *(self.loads if self.changes else [])], share)
 
     @property
     def rubbed(self) -> float:
-        """The largest change of a velocity by friction, in m/s, where impacts may turn loads round."""
+        """The largest change of a velocity by friction (m/s), if impacts may turn loads round."""
         return 2.0 * _rubbed(self.loads, self.friction) if self.changes else 0.0
 
 
@@ -106,8 +105,8 @@ class CloseLook:
     run: RunInterval
     refined: RunInterval
     start: InitialBodies
-    _labels: IntArray = field(init=False)  # (n,) label shared by bodies in contact, directly or through free bodies
-    _known: dict[int, Touching] = field(init=False, default_factory=dict)  # by label
+    _labels: IntArray = field(init=False)  # (n,) label shared by bodies that touch, directly or through free bodies
+    _known: dict[int, Touching] = field(init=False, default_factory=dict)  # the touching bodies by label
 
     def __post_init__(self) -> None:
         n, free = len(self.start.mass), ~np.asarray(self.start.fixed)
@@ -135,7 +134,7 @@ class CloseLook:
         return self._known[label]
 
     def may_share_otherwise(self, touching: Touching, before: Frame, frame: Frame, refined: Frame) -> bool:
-        """Return whether several contacts acted and left the same energy, within the allowance for loads."""
+        """Return whether several contacts acted, and both runs have the same energy within the allowance for loads."""
         if touching.contacts < 2:
             return False
         had, kept, refined_kept = (self._kinetic(touching, one) for one in (before, frame, refined))
@@ -164,7 +163,7 @@ class CloseLook:
                 continue
             approach = float(row["approach_speed"])
             if 0.5 * _reduced_mass(ends, self.start) * approach * approach <= SHARED * energy:
-                continue  # contacts may share no more otherwise
+                continue  # the contacts share impulses no differently then
             normal = _normal(row)
             returned = 0.0  # m/s, change of speed in a step by loads along the normal and by friction
             for load in (load for end in ends for load in self.run.loads.get(end, [])):
@@ -187,11 +186,11 @@ def _movable(ends: Pair, start: InitialBodies) -> list[int]:
 
 
 def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
-    """Return the remainder of a difference beyond the changes of velocity that loads allow, times a share.
+    """Return the remainder of a difference that exceeds the velocity changes that loads allow, times ``share``.
 
-    Each load allows a difference of twice its change in a step, since an impact may reverse the load. Together they may
-    leave less than one by one: a light ball between two heavy ones is pushed out across two normals that are nearly
-    opposite.
+    Each load allows a difference of twice its change in a step, since an impact may reverse the load. All loads
+    together may leave a smaller remainder than one after the other: a light ball between two heavy ones is pushed out
+    across two normals that are nearly opposite.
     """
     rest, along = vector, np.array([2.0 * load.speed * share * load.direction for load in loads]).T
     size = float(np.abs(along).max(initial=0.0))
@@ -216,12 +215,12 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     changed: set[int] = set()
     pressed: dict[Pair, float] = {}
     depth = np.zeros(n)
-    rolls: dict[Pair, FloatArray] = {}  # m, angular impulse over normal impulse, against rolling and twisting
-    held: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and normal, of lasting contacts
-    lasting: dict[Pair, list[float]] = {}  # N s, impulses of the last steps
+    rolls: dict[Pair, FloatArray] = {}  # m, angular impulse against rolling and twisting, divided by the normal impulse
+    held: dict[Pair, tuple[float, FloatArray]] = {}  # impulses (N s) and normals of lasting contacts
+    lasting: dict[Pair, list[float]] = {}  # impulses (N s) in the last steps
     pulled, modes = dict[int, Load](), set[tuple[int, int, int]]()
     vague: dict[Pair, float] = {}
-    eased: dict[Pair, tuple[float, FloatArray]] = {}  # N s, and normal, as in `held`
+    eased: dict[Pair, tuple[float, FloatArray]] = {}  # changes of impulses (N s), and normals, as in `held`
     for one in space.run(until=end + LOOK_AFTER * dt, schedule=every(0.0)):
         if one.step == first:  # a restored state has no table
             continue
@@ -276,7 +275,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
 
 
 def _blur(vague: dict[Pair, float], impacts: Records, supported: set[int], frame: Frame) -> None:
-    """Raise the relative uncertainties of pairs to those of their impacts in a step, given the supported bodies."""
+    """Raise the uncertainties of pairs whose impacts in a step are less certain; ``supported`` bodies are at rest."""
     for row in impacts:
         ends, normal = (int(row["i"]), int(row["j"])), _normal(row)
         uncertain = 0.5 * frame.dt * sum(abs(float(frame.acceleration[end] @ normal)) for end in supported & set(ends))
@@ -307,7 +306,7 @@ def _normal(row: np.void) -> FloatArray:
 
 
 def _deepen(depth: FloatArray, rows: Records, radius: FloatArray) -> None:
-    """Raise the depths (n,) m of bodies to those of their overlaps in the rows of contacts."""
+    """Raise the depths (n,) m of bodies, if their overlaps in the rows of contacts are deeper."""
     reach = np.append(radius, 0.0)  # the arm of a plane or wall is 0
     ends = np.minimum(np.stack((rows["i"], rows["j"])), len(radius))
     overlap = reach[ends].sum(axis=0) - rows["arm_i"] - rows["arm_j"]
@@ -317,7 +316,7 @@ def _deepen(depth: FloatArray, rows: Records, radius: FloatArray) -> None:
 
 
 def _turned(before: FloatArray, now: FloatArray) -> bool:
-    """Return whether the resistance to rolling or twisting has another direction, or ends the rotation."""
+    """Return whether the resistance to rolling or twisting has changed direction, or ends the rotation."""
     change = now - before
     return bool(change @ change > (TURNED * TURNED) * max(before @ before, now @ now))
 

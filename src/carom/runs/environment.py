@@ -2,8 +2,8 @@
 
 The commit is read without running any program that the folder configures. The working folder may come from a stranger.
 If Git ran in it, Git would obey its `.git/config`, which may name programs to run: monitors, hooks, filters,
-transports. The commit is therefore read from the files of the repository. To compare tracked files with it, Git runs in
-a temporary repository that uses the objects and the index of the folder.
+transports. The commit is therefore read from the files of the repository. To compare tracked files with the commit, Git
+runs in a temporary repository that uses the folder's objects and index.
 
 Signals come from Ctrl-C, from job schedulers and from closed terminals.
 """
@@ -34,11 +34,11 @@ from carom.held_signals import ENDING
 from carom.private_folder import remove_private_folder, temporary_folder
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
-_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or key that holds one
+_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or key whose value is a path
 
 
 def versions(further: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the versions of Python and of the packages that a result depends on, and those of ``further`` packages."""
+    """Return the versions of Python , of the packages that a result depends on, and of ``further`` packages."""
     own = {package: _version(package) for package in PACKAGES}
     return {"python": platform.python_version(), **own, **(further or {})}
 
@@ -64,7 +64,7 @@ def command_line() -> str:
 
 @cache
 def _version(package: str) -> str:
-    """Return the installed versions, cached: a lookup takes a millisecond or two, and sweeps repeat it every run."""
+    """Return the installed version, cached: a lookup takes a millisecond or two, and each run of a sweep repeats it."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
@@ -90,7 +90,7 @@ def _cpu() -> str:
 
 _HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
 _BRANCH = re.compile(r"ref: (refs/.+)")
-_SHA1 = 40  # digits
+_SHA1 = 40  # number of digits
 _LONGEST = 4096  # most characters of a file with one line
 _TIME = 5  # s, time limit of Git
 _CONFIG = "[core]\nrepositoryformatversion = 0\n"
@@ -108,7 +108,7 @@ class _Repository:
 def git_revision(folder: Path) -> str:
     """Return the commit that is checked out in a folder; empty if there is none.
 
-    "-dirty" is appended if tracked files differ from it, "-unchecked" if Git failed to compare them.
+    "-dirty" is appended if tracked files differ from the commit, "-unchecked" if Git failed to compare them.
     """
     try:
         repository = _repository_around(folder.resolve())
@@ -121,7 +121,7 @@ def git_revision(folder: Path) -> str:
 def _repository_around(folder: Path) -> _Repository | None:
     for root in (folder, *folder.parents):
         git = root / ".git"
-        if git.is_file():  # a linked working tree or a submodule has a file instead
+        if git.is_file():  # a linked working tree or a submodule has a file in place of the folder
             git = root / _line(git).removeprefix("gitdir: ")
         if git.is_dir():
             linked = git / "commondir"
@@ -183,16 +183,17 @@ def _changes(repository: _Repository, commit: str) -> str:
 
 AFTER_CALLBACK = 0.05  # s after a callback; llvmlite's callbacks for each kernel take microseconds
 LONGEST_IMPORT = 10.0  # s, longest wait of a signal for an import; the longest import takes a second
-SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward the terminal's
+# s within which interrupts count once: wrappers such as `uv run` also forward the terminal's interrupt
+SAME_PRESS = 0.3
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
 _KEPT = 512 << 20  # bytes of free memory to keep
 _LARGE = 64 << 20  # bytes above which arrays get pages of their own
-_NEW_OBJECTS = 100_000  # the first batches create 60 000 objects, mostly modules, which remain
+_NEW_OBJECTS = 100_000  # new objects between collections; the first batches create 60 000, mostly modules, which remain
 
-_received: list[int] = []  # the signal that was raised as KeyboardInterrupt
+_received: list[int] = []  # the signal, if any, that was raised as KeyboardInterrupt
 _heard: list[float] = []  # s, times at which this command was asked to end, in order
-_waiting: list[float] = []  # s, time of a request during an import
+_waiting: list[float] = []  # s, time of a request, if any, during an import
 
 
 def raise_signals(before: Sequence[Any] = ()) -> None:
@@ -210,7 +211,7 @@ def is_ending(*, at_once: bool = False) -> None:
     """Tell the handlers that the command ends by itself: no signal raises from now on.
 
     When it ends ``at_once``, signals are ignored: the interpreter would restore their default actions before it has
-    ended, and a signal that comes late would change the exit code.
+    ended, and a late signal would then change the exit code.
     """
     _heard.append(time.monotonic())
     for number in (signal.SIGINT, *ENDING) if at_once else ():
@@ -226,8 +227,8 @@ def received() -> int:
 def _raise(number: int, frame: FrameType | None) -> None:
     """Raise for the first request to end; drop the same request sent again; end at once at a later one.
 
-    Wrappers and schedulers send two. A second exception, within the clean-up after the first one or after a run that a
-    signal has ended, would print a traceback and another exit code.
+    Wrappers and schedulers send the same request twice. A second exception, within the clean-up after the first one or
+    after a run that a signal has ended, would print a traceback and another exit code.
     """
     now = time.monotonic()
     if not _heard and _is_importing(frame):
@@ -245,7 +246,7 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    """Return whether a frame is within an import, which an exception would leave half done, or which would print it."""
+    """Return whether a frame is within an import, where an exception would leave it half done, or be printed."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
@@ -273,7 +274,7 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
     if lost.exc_type is not KeyboardInterrupt or not received():
         sys.__unraisablehook__(lost)
         return
-    _heard.clear()  # an earlier signal of the same request
+    _heard.clear()  # drop an earlier signal of the same request
     _send_later(received())
 
 
@@ -294,7 +295,7 @@ class Interrupts:
         self.sender = "the user"
         self._patience = patience
         self._presses = 0
-        self._last = -SAME_PRESS  # s, when the interrupt key was last pressed
+        self._last = -SAME_PRESS  # s, time at which the interrupt key was last pressed
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
@@ -330,9 +331,9 @@ class Interrupts:
 
 
 def keep_freed_memory() -> None:
-    """Keep freed memory for the next frame, in one pool for all threads; does nothing without glibc.
+    """Keep freed memory for the next frame, in one pool for all threads; without glibc, do nothing.
 
-    Call it before there are other threads, because threads that NumPy starts keep pools of their own.
+    This must be called before other threads exist, because threads that NumPy starts keep pools of their own.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -348,7 +349,7 @@ def leave_pandas_out() -> None:
     """Keep pyarrow from importing pandas in a process of carom: 0.15 to 0.2 s of CPU.
 
     At its first conversion of an array, pyarrow imports pandas if it is installed, to recognise its series. carom has
-    none. A later conversion of a table to pandas still works: pyarrow then tries again.
+    no pandas series. A later conversion of a table to pandas still works: pyarrow then tries the import again.
     """
     import pyarrow as pa  # noqa: PLC0415 - `carom --help` does without
 
@@ -370,9 +371,9 @@ def collect_garbage_rarely() -> None:
     """Let Python collect cyclic garbage after 100 000 new objects instead of 700, unless the program collects none.
 
     There is hardly any cyclic garbage, since frames and rows have no cycles. A full collection takes 0.1 s, in which
-    the physics waits for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy
-    machine). Collections also take a tenth of a compilation: without them, `cloud-collapse` takes 38.5 and 41.9 instead
-    of 42.7 and 46.6 s of CPU, and 4 to 18 % more memory.
+    the physics waits for the interpreter lock, and small collections took 50 µs in each frame of 1000 bodies (both on a
+    busy machine). Collections also take a tenth of the time of a compilation: without collections, two runs of
+    `cloud-collapse` took 38.5 and 41.9 instead of 42.7 and 46.6 s of CPU, and 4 to 18 % more memory.
     """
     threshold, *others = gc.get_threshold()
     if threshold:

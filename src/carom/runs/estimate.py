@@ -44,14 +44,14 @@ TRIAL_STEPS = 200
 LOADING_STEPS = 3
 PULL_SECONDS, PULL_ROUNDS = 0.05, 15  # s and rounds for measuring the cost of the potential
 # s of CPU time, measured on two cores of a shared AMD EPYC
-LIBRARIES = 2.0  # s, longest time for the imports of a command; 1.0 on an idle machine
+LIBRARIES = 2.0  # s, longest time for the imports of a command; on an idle machine, they take 1.0 s
 LOADING = 0.005  # s to load a kernel that had to be compiled here
 CLOSING = 0.3  # s to open the file, write the layout, close the file and count its frames
 # bytes, measured in runs of 1 to 1000 bodies
 LIBRARY_BYTES = 310_000_000  # Python, libraries and kernels
 RECORDER_BYTES = 40_000_000  # Rerun's encoder, a batch of columns, the check of the closed file
 
-# The part of the model for each mark in a step's profile; the second one applies if the scene lacks the first.
+# The part of the model for each mark in a step's profile. If a scene lacks the first part, the second is used.
 MARKS = {
     "timestep": ("adaptive-step", "integrator"),
     "orientation": ("orientation", "integrator"),
@@ -79,7 +79,7 @@ class PartCost:
     modelled: bool
     why: str
     share: float | None  # fraction of a run's time; None if it is not modelled or not measured separately
-    within: str | None  # the part whose time includes this part's
+    within: str | None  # the part whose time includes the time of this part
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +90,8 @@ class EntityCost:
     recorded: bool
     why: str
     share: float | None  # fraction of a recording's bytes; None if the entity is not recorded
-    bytes: float  # of the whole recording
-    seconds: float  # s of the whole run in the recorder's thread
+    bytes: float  # bytes of this entity in the whole recording
+    seconds: float  # s of the recorder's thread for this entity in the whole run
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,15 +99,15 @@ class Cost:
     """Estimated cost of a run."""
 
     steps: int
-    fewest_steps: int  # lower end of the estimated range
+    fewest_steps: int  # least number of steps in the estimated range
     most_steps: int
-    limits: dict[str, float]  # fraction of the steps that each limit sets, the largest first
+    limits: dict[str, float]  # fraction of the steps that each limit sets; the largest fraction first
     looked_until: float  # s, end of the coarse run, which is the end of the run unless it took too long
     seconds: float  # s to compute everything: start, all steps and all frames
     start_seconds: float  # s to load libraries and kernels, to find the step of an accuracy, and to close the file
-    step_seconds: float  # of all steps
+    step_seconds: float  # s for a step, averaged over all steps
     frame_seconds: float  # s to copy and record a frame
-    compile_seconds: float  # s for the kernels that this estimate compiled, and that a run now finds in the cache
+    compile_seconds: float  # s for compiling the kernels that this estimate compiled; a run now finds them in the cache
     compiled: int  # number of these kernels
     own_kernels: list[str]  # parts of the scene with kernels of their own, which every new machine compiles first
     memory: int  # bytes of the process, including libraries and kernels
@@ -149,7 +149,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
         with temporary_folder() as folder:
             taken = probe(folder / "trial.rrd", header, outlook.samples or few)
         kernels = clock.kernels
-    costs = []  # bytes and seconds by entity
+    costs = []  # costs of the entities
     for content in contents(header, space.requirements):
         entity = taken.get(content.path, Taken(0, 0.0, 0.0))
         costs.append((content, entity.once + entity.bytes * frames, entity.seconds * frames))
@@ -186,7 +186,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
 
 def _memory(scene: Scene, samples: list[Frame], frames: int, *, compiled: bool) -> int:
-    """Return the memory of a run in bytes: that of the process itself, and of the frames that wait to be written."""
+    """Return the memory of a run in bytes: for the process itself, and for the frames that wait to be written."""
     # a compilation leaves memory that a run does not need
     process = LIBRARY_BYTES + memory_estimate(scene) if compiled else resident_memory()
     waiting = min(frames, waiting_frames(scene.count)[2])
@@ -201,7 +201,7 @@ def _bytes_of(frame: Frame) -> int:
 
 def _measured_steps(space: Space, clock: TrialClock) -> tuple[list[Frame], float, float]:
     """Run the first steps; return their last frames, the seconds so far without kernels, and the seconds of a step."""
-    # makes a few steps first, so that the loading in the first step is not measured
+    # a few steps come first, so that the loading of kernels in the first step is not measured
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
         if space.time < space.scene.time.duration:
@@ -215,7 +215,7 @@ def _measured_steps(space: Space, clock: TrialClock) -> tuple[list[Frame], float
         few = _first_frames(space, clock)
         if clock.kernels.seconds == kernels:
             return few, building, (clock.seconds - began) / space.step
-        # repeats, since the profile includes the loading of kernels, such as those of the first impact
+        # the steps are repeated, since the profile included the loading of kernels, for instance at the first impact
 
 
 def _first_frames(space: Space, clock: TrialClock) -> list[Frame]:
@@ -238,13 +238,14 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     """Divide the time of a run among the parts."""
     needs = space.requirements
     modelled = {part.name for part in needs.parts if part.modelled}
-    seconds = dict.fromkeys(modelled, 0.0)  # a step
+    seconds = dict.fromkeys(modelled, 0.0)  # seconds in a step, by part
     for mark, spent in space.profile.seconds().items():
         name, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of an installed package is marked by its name
         seconds[name if name in modelled else otherwise] += spent / space.step
     if needs.potential.modelled:
         more, duration = _more_for_the_potential(space), space.scene.time.duration
-        by_time = max(frames, duration / auto_interval(space.scene, duration))  # most frames are checks
+        # interval of the frames; most frames are checks
+        by_time = max(frames, duration / auto_interval(space.scene, duration))
         seconds["potential"] = more * min(1.0, 1.0 / space.scene.record.check_every + by_time / steps)
         seconds["gravity"] = max(0.0, seconds["gravity"] - seconds["potential"])
     if needs.warm_up.modelled:
@@ -261,7 +262,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
 
 
 def _more_for_the_potential(space: Space) -> float:
-    """Return the additional time (s) of gravity with the potential, from medians of interleaved calls."""
+    """Return the additional time (s) that gravity takes with the potential, from medians of interleaved calls."""
     gravity = gravity_of(space.scene, space.state.mass, Team(space.threads))
     if gravity is None:
         return 0.0
@@ -279,7 +280,7 @@ def _more_for_the_potential(space: Space) -> float:
 
 
 def _within(name: str, needs: Requirements) -> str | None:
-    """Return the part that is computed together with this part, so that their times cannot be separated."""
+    """Return the part that is computed together with this part, if their times cannot be separated."""
     spin = "contact" if needs.friction.modelled else "energy"
     with_others = {"narrow-phase": "broad-phase", "tree": "gravity", "spin": spin}
     return (with_others | {"restitution": "contact", "friction": "contact"}).get(name)
@@ -294,7 +295,7 @@ class Taken:
 
     once: int  # bytes of static data
     bytes: float  # compressed bytes of arrays per frame
-    seconds: float  # s of the recorder's thread per frame
+    seconds: float  # s per frame in the recorder's thread
 
 
 def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
@@ -310,7 +311,8 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:
         different = batch[: len(frames)]
-        _send(different, stream, BatchEncoder(header, origin), clock)  # loads libraries and kernels, unmeasured
+        # loads libraries and kernels before anything is measured
+        _send(different, stream, BatchEncoder(header, origin), clock)
         raw, compressed = Counter[str](), Counter[str]()
         for rows in BatchEncoder(header, origin).rows(different):
             raw[rows.path] += rows.bytes

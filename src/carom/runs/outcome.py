@@ -25,17 +25,17 @@ from carom.state.books import Extreme, Extremes
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A promise: its limit, the measured value, and the worst time.
+    """A promise: its limit, the measured value, and the time at which this was worst.
 
-    A promise about the end is not judged in a run of another length; it is then taken as met.
+    In a run of another length, a promise about the end is not judged, and counts as met.
     """
 
     name: str
     limit: float
     measured: float
-    worst: Extreme | None = None  # the worst moment; None if no extreme corresponds to the criterion
+    worst: Extreme | None = None  # the worst moment; None if the criterion has no such moment
     at_least: bool = False  # whether the limit is a lower bound
-    note: str = ""  # explains the measured quantity where the name does not
+    note: str = ""  # explains the measured quantity if its name does not
     promised_at: float | None = None  # s, promised end if the run ended at another time
 
     @property
@@ -45,7 +45,7 @@ class Verdict:
 
     @property
     def met(self) -> bool:
-        """Whether the promise was kept or is not judged; with NaN it is broken."""
+        """Whether the promise was kept or is not judged; a measured NaN breaks it."""
         if not self.judged:
             return True
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
@@ -72,24 +72,24 @@ class EndState(Protocol):
 
     @property
     def position(self) -> FloatArray | None:
-        """(n, 3) m."""
+        """Positions, (n, 3) m."""
 
     @property
     def velocity(self) -> FloatArray | None:
-        """(n, 3) m/s."""
+        """Velocities, (n, 3) m/s."""
 
     @property
     def angular_velocity(self) -> FloatArray | None:
-        """(n, 3) rad/s."""
+        """Angular velocities, (n, 3) rad/s."""
 
 
 def judge(scene: Scene, extremes: Extremes, time: float, state: EndState | None = None) -> list[Verdict]:
     """Compare every promise of a scene with the extremes of its run, which ended at ``time`` (s), and its last state.
 
-    The error of a quantity that the scene does not conserve is infinite, such as angular momentum in a periodic box, or
-    any momentum where something is fixed. The final kinetic energy, the largest number of impacts and states are judged
-    only if the run ends at the promised time; the smallest number of impacts and the warnings are also judged if it
-    ends later. An unknown state is wrong.
+    The error of a quantity that the scene does not conserve is infinite: for instance, of angular momentum in a
+    periodic box, or of any momentum if something is fixed. The final kinetic energy, the largest number of impacts and
+    the states are judged only if the run ends at the promised time. The smallest number of impacts and the warnings are
+    also judged if the run ends later. An unknown state breaks its promise.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     at_end, by_then = end if time != end else None, end if time < end else None
@@ -106,7 +106,7 @@ def judge(scene: Scene, extremes: Extremes, time: float, state: EndState | None 
         "contact_audit": extremes.contact_audit,
         "dissipation_error": extremes.dissipation_error,
     }
-    without = {  # values of criteria without an extreme
+    without = {  # measured values of the criteria that have no worst moment
         **dict.fromkeys(("energy_error", "max_overlap", "dissipation_error"), 0.0),
         **dict.fromkeys(("impacts", "most_impacts"), extremes.impacts),
     }
@@ -125,7 +125,7 @@ def judge(scene: Scene, extremes: Extremes, time: float, state: EndState | None 
 
 
 def _states(scene: Scene, state: EndState | None, promised_at: float | None) -> Iterator[Verdict]:
-    """Yield a verdict for each expected value of a body's state; its numbers are in the units of the scene."""
+    """Yield a verdict, in the units of the scene, for each expected value of a body's state."""
     numbers, units = [body.name for body in scene.body], scene.unit_system
     for expected in scene.expect.state:
         number = numbers.index(expected.body)
@@ -150,7 +150,7 @@ def closing_of(extremes: Extremes) -> dict[str, Scalar]:
     summary: dict[str, Scalar] = {
         "contacts.total": extremes.total_contacts,
         "contacts.impacts": extremes.impacts,
-        "energy.reference": extremes.energy_scale,  # J; the viewer cannot load the key "energy.scale"
+        "energy.reference": extremes.energy_scale,  # J; "energy.scale" is a key that the viewer cannot load
         **{key: extreme.value for key, extreme in largest.items() if extreme is not None},
     }
     for name in ("energy_error", "impact", "overlap", "contacts"):
@@ -174,7 +174,8 @@ OF_ENGINES = {"energy_error": "largest change of the energy without contact, {va
 EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts detected at the end of a step
 _DISK = "disk"
-COMMAND = "command, as the recording says"  # a row of the overview; whoever pastes the command trusts its sender
+# label in the overview: whoever pastes the command must trust the recording's sender
+COMMAND = "command, as the recording says"
 FAILURES = ("failed", _DISK, "error")  # statuses of runs that an error ended
 _FAILED = "recording failed"
 
@@ -182,7 +183,7 @@ _FAILED = "recording failed"
 def counts_text(contact_steps: int, impacts: int | None, each: str | None, summed_over: str = "steps") -> str:
     """Describe the numbers of contacts and of impacts.
 
-    ``contact_steps`` counts pairs that touch, summed over steps, or over "frames" if only these are known, as in a
+    ``contact_steps`` counts pairs that touch, summed over steps, or over "frames" if only the frames are known, as in a
     clip. Impacts are contacts that closed faster than the rest speed, counted `EACH` or `ONCE_A_STEP`; None: unknown.
     """
     if summed_over == "frames":
@@ -197,7 +198,7 @@ def counts_text(contact_steps: int, impacts: int | None, each: str | None, summe
 
 
 def overlap_text(deepest: float) -> str:
-    """Describe the deepest overlap over the smaller radius; empty for overlaps by rounding."""
+    """Describe the deepest overlap, given relative to the smaller radius; empty for overlaps by rounding."""
     return f"deepest overlap {100.0 * deepest:.3g}% of the smaller radius" if deepest > ROUNDED_OVERLAP else ""
 
 
@@ -265,8 +266,8 @@ def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
 def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     """Describe the change of the energy and its known reasons.
 
-    In another engine's run, only states are known. Without impulses, the work of contacts cannot be distinguished from
-    errors.
+    In a run of another engine, only the states of bodies are known. Without impulses, the work of contacts cannot be
+    distinguished from errors.
     """
     energy = summary["energy"]
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
@@ -325,7 +326,7 @@ def judged_promise(verdict: dict[str, Any]) -> str:
 
 
 def headline(recording: Recording) -> list[tuple[str, str]]:
-    """Return the quantities that distinguish recordings for a reader: names and texts."""
+    """Return names and texts of the quantities by which a reader distinguishes recordings."""
     whole, units = recording.summary(), recording.units
     impacts = whole["contacts"].get("impacts")
     first, last = (units.text(whole["energy"][when], ENERGY, ".4g") for when in ("initial", "final"))
@@ -355,7 +356,7 @@ def _head_comment(scene: str) -> str:
 
 
 def problems(recording: Recording, most: int) -> list[str]:
-    """Return the problems of a run: its end, broken promises, and at most ``most`` warnings."""
+    """Return the problems of a run: an early end, broken promises, and at most ``most`` warnings."""
     promises = recording.summary()["expect"]
     missed = [
         f"promise {name} missed: {promise_text(verdict)}"

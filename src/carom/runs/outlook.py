@@ -1,4 +1,4 @@
-"""Foresees the steps of a run by a coarse run of the whole scene, with longer steps."""
+"""Estimates the steps of a run by a coarse run: the whole scene with longer steps."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ from carom.state.frame import Frame
 FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for measuring steps that one call makes in bulk
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # bytes of a body in a frame
-STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
-LOOK_SECONDS = 3.0  # for each coarse run
-GLANCE_SECONDS = 0.1  # s for a coarse run that would cover less than this fraction of the duration in its time
+# lengths of coarse steps, in steps of the scene; the second is used if the first would take too long
+STRIDES = 8.0, 64.0
+LOOK_SECONDS = 3.0  # s, time limit of each coarse run
+# a coarse run ends early if it would cover less than this fraction of the duration within its limit
+GLANCE_SECONDS = 0.1
 LEAST_SEEN = 0.05
 SHORTER = 10.0  # factor by which steps must shorten before a run counts as slow
 LONG_RUN = 600.0  # s; a run that takes longer is announced
-WORTH_A_LOOK = 1e7  # conceivable steps, some 10 s of the fastest ones; no trial precedes a run with fewer
-FORWARN_SECONDS = 1.0  # s for each coarse run before a run
-MANY_STEPS = 100  # coarse steps from which their mean time is more accurate than that of the first steps
+WORTH_A_LOOK = 1e7  # conceivable steps, which take at least 10 s; a run of fewer steps is not tried out first
+FORWARN_SECONDS = 1.0  # s, time limit of each coarse run that precedes a run
+MANY_STEPS = 100  # number of coarse steps above which their mean time is more accurate than the time of the first steps
 LIKELY = 2.0  # factor within which a complete estimate is right for the bundled scenes and extremes (test_estimate.py)
 
 
@@ -43,7 +45,7 @@ def frames_to_keep(space: Space) -> int:
 
 
 def flight_seconds(space: Space, start: InitialBodies | None = None) -> float:
-    """Return the time of a step without contacts, including its part of a check and a frame.
+    """Return the time (s) of a step without contacts, including its share in a check and a frame.
 
     A run makes many of these steps in one call. The time is infinite for many bodies, since each of their steps is a
     separate call.
@@ -76,12 +78,14 @@ class Outlook:
     seconds: float
     seen: float  # fraction of the duration that the coarse run covered; 1 if it reached the end
     limits: dict[str, float]  # fraction of the steps that each limit sets, the largest first
-    frames: int  # of the recording
+    frames: int  # number of frames in the recording
     frame_seconds: float  # s for the physics to copy a state, with its energies
-    samples: list[Frame]  # frames from all of the coarse run, as a recording would have them; empty if it was too short
-    short_from: float | None  # s, time from which steps are `SHORTER` than earlier ones; None if there is none
+    # frames of the coarse run from start to end, as a recording would have them; empty if it was too short
+    samples: list[Frame]
+    # s, time from which steps are shorter than earlier ones by the factor `SHORTER`; None if there is none
+    short_from: float | None
     short_step: float  # s, mean step at the end of the coarse run
-    short_limit: str  # the limit that sets these steps
+    short_limit: str  # the limit that sets the step at the end of the coarse run
 
 
 def estimate_steps(
@@ -93,9 +97,9 @@ def estimate_steps(
 ) -> Outlook:
     """Estimate the steps of a run, given that each of its first steps takes ``step_seconds``.
 
-    ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many of these in
-    one call; ``start`` are the initial bodies, if known. A coarse run takes ``look_seconds`` at most. Raises
-    SceneError or PhysicsError if the scene cannot run.
+    ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many such steps in
+    one call; ``start`` are the initial bodies, if known. A coarse run takes ``look_seconds`` at most. Raises SceneError
+    or PhysicsError if the scene cannot run.
     """
     fixed = scene.time.fixed_dt
     if fixed is not None:
@@ -114,7 +118,7 @@ def estimate_steps(
 def forewarning(space: Space) -> str:
     """Return a warning before a run that will take long; otherwise an empty text.
 
-    Only a scene that conceivably takes many steps is run coarsely, for a second or two.
+    A coarse run precedes only scenes that may take many steps, and takes a second or two.
     """
     scene = space.scene
     if most_steps(scene, space.first_dt) < WORTH_A_LOOK:
@@ -149,11 +153,11 @@ def _look(
     start: InitialBodies | None,
     look_seconds: float,
 ) -> Outlook:
-    """Run the whole scene with longer steps, count the steps of an actual run, and keep some frames."""
+    """Run the whole scene with longer steps, estimate the steps that an actual run would take, and keep some frames."""
     space, duration, fixed = recording_space(scene, None, None, start, stride), scene.time.duration, scene.time.fixed_dt
     samples, room, interval, since = list[Frame](), frames_to_keep(space), frame_interval(scene), math.inf
     last = 0.0
-    copying: list[float] = []  # s, of each frame
+    copying: list[float] = []  # s, time of each frame's copy
     rates: list[float] = []  # 1/s, steps of the scene per second of simulated time
     times, named = list[float](), list[str]()  # s, start of each rate, and the limit that sets these steps
     known: dict[str, float] = {}  # numbers of steps so far, by limit
@@ -161,13 +165,13 @@ def _look(
     with TrialClock() as clock:
         while before < duration and last < look_seconds:
             if last > GLANCE_SECONDS and before < LEAST_SEEN * duration * last / look_seconds:
-                break  # a longer run would hardly cover more
+                break  # a longer look would hardly cover more
             try:
                 space.compute_dynamics(space.step + 1)
                 now = clock.seconds
                 ends = since < math.inf and space.time - since >= interval
                 if ends or (since == math.inf and space.time >= (len(samples) + 0.5) * duration / room):
-                    frame = space.frame()  # the next frame then has the impacts since this one
+                    frame = space.frame()  # the next frame will have the impacts since this frame
                     copying.append(clock.seconds - now)
                     if ends:
                         samples.append(_with_impacts_of(interval, space.time - since, frame))
@@ -217,7 +221,7 @@ def _look(
 
 
 def _with_impacts_of(interval: float, span: float, frame: Frame) -> Frame:
-    """Return a frame with as many of its impacts as an interval (s) would have; a coarse step may be longer."""
+    """Return a frame with as many of its impacts as an interval (s) would have, since a coarse step may be longer."""
     if frame.impacts is None or span <= interval:
         return frame
     return replace(frame, impacts=frame.impacts[: round(len(frame.impacts) * interval / span)])

@@ -1,4 +1,4 @@
-"""Data of a recording: read where the file holds them, otherwise computed from the last checkpoint before them."""
+"""Data of a recording: read from the file if they are there, otherwise computed from the last checkpoint before."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def contacts_of(
 ) -> pa.Table:
     """Return the contacts of the step that contains a time (s); see `Recording.contacts`.
 
-    With ``replay``, the step is computed in any case, for all columns in float64. ``watch`` receives the progress of
+    With ``replay``, the step is always computed, so that all columns are in float64. ``watch`` receives the progress of
     the computation.
     """
     moment = recording.moment(at)
@@ -55,8 +55,8 @@ def impacts_of(
 ) -> pa.Table:
     """Return the impacts of an interval (s); see `Recording.impacts`.
 
-    With ``replay``, the steps are computed in any case, for all impacts and for all columns in float64. ``watch``
-    receives the progress of the computation.
+    With ``replay``, the steps are always computed, so that all impacts are there, with all columns in float64.
+    ``watch`` receives the progress of the computation.
     """
     first, last = interval(recording, start, end)
     first, last = first - tolerance(first), last + tolerance(last)
@@ -98,7 +98,7 @@ def _window(recording: Recording, begin: float, *, contacts: bool = False, watch
 
 
 def _recorded_or(computed: Callable[[], pa.Table], recorded: Callable[[], pa.Table]) -> pa.Table:
-    """Return the recorded table if there is one, and its numbers are in the range of float32 (3.4e38)."""
+    """Return the recorded table if it exists and its numbers are within float32 (3.4e38), otherwise ``computed``."""
     try:
         table = recorded()
     except NotRecordedError:
@@ -179,7 +179,8 @@ def _snapshot(
     vectors = state_vectors(state, body, recording.bodies.mass, recording.bodies.inertia)
     known = dict[str, float]()
     for name in energies:
-        with suppress(AttributeError):  # the series belongs to an installed package, or is not an energy
+        # the series belongs to a package that is not installed here, or is not an energy
+        with suppress(AttributeError):
             known[name] = state.energy.named(name)
     if contacts is not None:
         contacts = named_contacts(recording, contacts).replace_schema_metadata()  # the metadata belong to one step

@@ -27,9 +27,9 @@ from carom.scene.load import Scene
 from carom.scene.start import names_of_solids
 from carom.scene.wording import Names
 
-FACTOR = 4.0  # the default: an error of first order shrinks to a quarter, so three quarters of it are seen
+FACTOR = 4.0  # default factor: an error of first order shrinks to a quarter, so three quarters of it show
 INSTANTS = 200  # instants at which the runs are compared
-MOST_TOLD = 8  # faults after which the run continues, but the question has been answered
+MOST_TOLD = 8  # faults after which the comparison ends, since the question has been answered
 TRIAL_SECONDS = 1.0  # s of stepping after which the remaining time is estimated
 
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
@@ -43,13 +43,13 @@ class Refinement:
     factor: float
     begin: float  # s, start of the compared part
     end: float
-    steps: int  # steps of the run in this part
+    steps: int  # number of steps that the run made in the compared part
     refined_steps: int
     instants: int  # instants at which the runs were compared
     windows: int
-    compared: float  # compared fraction of all bodies and instants; chaos decides the others
+    compared: float  # fraction of all bodies and instants that was compared; at the others, chaos decides
     moved: list[Moved]
-    largest: dict[str, float]  # largest ratio of difference to tolerance for each observable
+    largest: dict[str, float]  # for each observable, the largest ratio of difference to tolerance
     shared: int  # groups of touching bodies that shared impulses differently, or met in another order
     differs: int | None  # first recorded step at which the repeated run's bits differ
     ended: str  # reason why the comparison ended early; empty if it did not
@@ -82,9 +82,9 @@ def refine(
     source
         The scene or the recording.
     factor
-        Ratio of the steps of the run to the shorter ones; above 1.
+        Ratio of the run's steps to the shorter steps; above 1.
     begin, end
-        s, the part of a recording; by default all of it.
+        s, the part of a recording; by default the whole recording.
     threads
         Threads for the kernels; the result does not depend on it.
     instants
@@ -145,7 +145,7 @@ def refine(
         start = place(source)
         maker = Spaces(scene, start, threads, None)
         space = maker.space()
-        maker = Spaces(space.scene, start, threads, space.check_interval)  # with its promise
+        maker = Spaces(space.scene, start, threads, space.check_interval)  # the scene with its promise of an accuracy
         end = min(end, scene.time.duration)
         schedule = every(end / instants)
     comparison = Comparison(maker, factor, Names(start.name, names_of_solids(scene)))

@@ -35,7 +35,7 @@ from carom.scene.extensions import extensions_of, of_extensions, stamped
 from carom.state.frame import Frame
 
 TRIAL_SECONDS = 1.0  # s of stepping after which a replay estimates its remaining time
-REPAIRED = "; repaired, "  # text in the outcome of a repaired recording, which may lack pieces
+REPAIRED = "; repaired, "  # marks the outcome of a repaired recording, which may lack pieces
 
 CHOICE = "which impacts, arrows and checkpoints were kept"
 OUTCOME = "the outcome"
@@ -81,7 +81,7 @@ def replay(
     """Run a recording again, and compare every frame with the recorded one, bit for bit.
 
     The replay begins at the last checkpoint before the window, and ends at the first frame whose state differs. The new
-    frames are recorded in a temporary file, which needs as much space as the frames of the recording.
+    frames go into a temporary file, which needs as much space as the recording's frames.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def replay(
     threads
         Threads for the kernels; the bits do not depend on it.
     dense
-        The ``.rrd`` in which every step of the window is recorded, if any. Then only the exact states are compared.
+        An ``.rrd`` in which to record every step of the window. If it is given, only the exact states are compared.
     force
         Whether ``dense`` may replace a file.
     consent
@@ -175,7 +175,7 @@ class _Window:
         self.differs: int | None = None  # the first step whose state differs
 
     def see(self, frame: Frame) -> None:
-        """Compare the state of a frame, if it was recorded."""
+        """Compare the state of a frame, if the recording has this frame."""
         bits = self.fingerprints.get(frame.step)
         self.compared += bits is not None
         if bits not in (None, frame.fingerprint):
@@ -200,11 +200,11 @@ def _run_again(
     *,
     dense: bool = False,
 ) -> str:
-    """Run up to the end of the window or the first state that differs; return the reason for an earlier end, if any.
+    """Run up to the end of the window or the first state that differs; return the reason if it ends earlier.
 
-    ``keep`` receives the frames of the steps that the recording has, or of every step.
+    ``keep`` receives a frame of each recorded step, or of every step.
     """
-    # the pace excludes the first step, which may include a compilation
+    # the pace leaves out the first step, which may include a compilation
     began, first, asked = math.inf, window.begin, False
     try:
         for frame in space.run(schedule=every(0.0) if dense else at(window.fingerprints)):
@@ -223,16 +223,17 @@ def _run_again(
             if window.differs is not None:
                 break
             if frame.step >= (window.last_recorded if dense else window.last):
-                space.stop()  # a stopped run is judged at its last step
+                space.stop()  # the stopped run is compared at its last step
     except KeyboardInterrupt:
         return "stopped by the user"
     return ""
 
 
 class _Again:
-    """Records the window once more: frame 0, or the frames after the first one of the window.
+    """Records the window once more: from frame 0 on, or else without the first frame of the window.
 
-    A run that begins later continues with the recorded values of that first frame, as a resumed run does.
+    A window that begins later than the run continues from the recorded values of its first frame, as a resumed run
+    does.
     """
 
     def __init__(self, window: _Window, space: Space, path: Path) -> None:
@@ -241,7 +242,7 @@ class _Again:
         is_whole = "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
         used = extensions_of(space.scene)
         same = recording.versions == versions(of_extensions(used)) and stamped(recording.info) == used
-        # whether the run begins at its start, and its recorder had all frames from there on
+        # whether the replay begins at the start of the run, and the run's recorder received all frames from the start
         self._is_whole = window.begin == 0 and is_whole and not recording.clip
         self._same_choice, self._same_version = self._is_whole and same, same
         self._header = self._header_of(space)
@@ -252,7 +253,7 @@ class _Again:
     @classmethod
     @contextmanager
     def made(cls, window: _Window, space: Space) -> Iterator[_Again]:
-        """Make the temporary file, and remove it in the end."""
+        """Make the temporary file, which is removed when the context ends."""
         try:
             folder = tempfile.TemporaryDirectory(prefix="carom-replay-", ignore_cleanup_errors=True)
         except OSError as error:
@@ -282,12 +283,13 @@ class _Again:
             not_compared.append(OUTCOME)
         usual = auto_interval(space.scene, space.scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
-            not_compared.append(INTERVAL)  # the program that ran the scene chose the interval; the replay uses the same
+            # the program that ran the scene chose the interval of frames, and the replay uses the same interval
+            not_compared.append(INTERVAL)
         if self._recorder is None or self._last is None:
             return None, not_compared
         extremes = space.named_extremes()
         verdicts = judge(space.scene, extremes, space.time, space.state)
-        outcome = recording.outcome  # the user or the system may have ended the run
+        outcome = recording.outcome  # an outcome that the user or the system caused cannot be compared
         if space.time >= space.scene.end:
             outcome = outcome_text(*ending_of(verdicts, space.scene.unit_system))
         with _writing():
@@ -321,16 +323,16 @@ class _Again:
             return FrameRecorder(self._path, self._header, continued=continued, checkpoints=steps)
 
     def _header_of(self, space: Space) -> Header:
-        """Return the header that the recorder of the run had, with its circumstances."""
+        """Return the header that the run's recorder had, with the circumstances of that run."""
         recording, scene, header = self._recording, space.scene, header_of(space)
-        # checks groups in the order of placement: explicit bodies, data, groups
+        # the order of placement is: explicit bodies, data, groups
         given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
         numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
         swept = dict(recording.parameters)
         return replace(
             header,
             group=np.repeat(np.array(numbers, np.int64), counts),
-            # compares all impacts and arrows if the recorder's choice is unknown
+            # if the recorder's choice of impacts and arrows is unknown, all are compared
             record_impacts=header.record_impacts if self._same_choice or not header.records_contacts else "all",
             properties={
                 name: each for name, each in recording.properties.items() if isinstance(each, str | int | float)

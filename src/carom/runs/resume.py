@@ -34,9 +34,10 @@ class ResumableRun:
 
     recording: Recording
     scene: Scene
-    step: int  # of the checkpoint
-    time: float  # s, of the checkpoint
-    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # dropped once a space has this state
+    step: int  # step of the checkpoint
+    time: float  # s, time of the checkpoint
+    # the checkpoint; dropped once a space has its state
+    _read: list[Checkpoint] = field(default_factory=list, repr=False)
 
     def space(self, threads: int | None = None) -> Space:
         """Build the space, which compiles kernels if necessary."""
@@ -48,7 +49,7 @@ class ResumableRun:
 def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
     """Find the checkpoint from which a recording can be resumed up to a time (s), by default the end of its scene.
 
-    The interval of frames stays the same. Raises SceneError, RecordingError if there is nothing left to run, or no
+    The interval of frames stays the same. Raises SceneError, or RecordingError if there is nothing left to run or no
     checkpoint to resume from. A clip cannot be continued, because the run before it is missing.
     """
     recording.refuse_some_bodies()
@@ -67,11 +68,11 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
         changes = [f"time.duration={scene.unit_system.literal(end, TIME)}"]
-        if cut < scene.time.duration:  # the run ended where its accuracy did
+        if cut < scene.time.duration:  # the run ended at the time up to which its accuracy is kept
             changes.append("time.after_horizon=")
         scene = continued_scene(recording, scene, changes)
-    # a completed run shortened its last step, which a longer run would not have done; a stopped one has a frame where
-    # it stopped, which an uninterrupted run would not have
+    # The last step of a completed run was shortened, and a longer run would not have shortened it. A stopped run has a
+    # frame at its last step, and an uninterrupted run would not have this frame.
     added = _stopped_at(recording, scene)
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut and step != added]
     if not steps:
@@ -81,7 +82,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
 
 
 def _stopped_at(recording: Recording, scene: Scene) -> int | None:
-    """Return the step of a last frame that the interval of the frames does not explain; None if it does."""
+    """Return the step of the last frame if the interval of frames does not explain that frame; otherwise None."""
     frames = recording.fingerprints()
     if frames.num_rows < 2:
         return None
@@ -108,7 +109,7 @@ def resume(
     until
         s, the simulated time at which the run ends; by default the duration of the scene.
     path
-        The ``.rrd`` to write; by default the recording is replaced once the new one is complete.
+        The ``.rrd`` to write; by default, the new recording replaces the old one once it is complete.
     force
         Whether to replace another file, and the file of an earlier attempt.
     threads
@@ -129,7 +130,7 @@ def resume(
         If the run has already reached that time, the recording cannot be continued, the file cannot be written, or the
         state becomes infinite.
     KeyboardInterrupt
-        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is complete up to there.
+        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is then complete up to the stop.
     """
     source = recording.path if isinstance(recording, Recording) else Path(recording)
     target = None if path is None else Path(path)
@@ -172,7 +173,7 @@ def continue_run(
     """Resume a run in a space made by `ResumableRun.space`, and record it from its start; see also `simulate`.
 
     The new recording is called ``NAME.resumed.rrd`` until it is complete. The finished file then replaces ``output``,
-    by default the old recording. If the disk runs full, the new file keeps that name, and the old recording is
+    by default the old recording. If the disk runs full, the new file keeps its temporary name, and the old recording is
     unchanged. Raises RecordingError if the recording cannot be written at all, or has changed since it was opened.
 
     Parameters

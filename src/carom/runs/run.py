@@ -46,21 +46,23 @@ class Outcome:
     """How a run ended."""
 
     path: Path
-    status: str  # "completed", "expectation missed", "interrupted", "failed", "disk", or "error" (in the recorder)
+    # "completed", "expectation missed", "interrupted", "failed", "disk", or "error" (an error of the recorder)
+    status: str
     reason: str  # a sentence; empty when completed
     frames: int
     steps: int
     sim_time: float  # s
-    wall_time: float  # s, wall time of the part from `begin` on
-    size: int  # bytes
-    payload: int  # bytes of arrays alone
+    wall_time: float  # s, wall time of the run from `begin` on
+    size: int  # bytes of the file
+    payload: int  # bytes of the file's arrays alone
     moments: Extremes = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
     warnings: list[Event] = field(default_factory=list)  # all warnings of the run, in order of time
     impacts_counted: str = EACH  # `EACH` or `ONCE_A_STEP`
-    impacts: RecordedImpacts | None = None  # None if the scene records none
-    accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was requested
-    begin: float = 0.0  # s, time at which a resumed run continued
+    impacts: RecordedImpacts | None = None  # numbers of impacts; None if the scene records no impacts
+    # values of `kept_accuracy`; empty if no accuracy was requested
+    accuracy: dict[str, float] = field(default_factory=dict)
+    begin: float = 0.0  # s, time from which a resumed run continued
 
     @property
     def ok(self) -> bool:
@@ -106,7 +108,7 @@ def run(
     ValueError
         If the number of threads is not whole or less than 1.
     KeyboardInterrupt
-        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is complete up to there.
+        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is then complete up to the stop.
     """
     loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
     if path is None:
@@ -127,7 +129,8 @@ def recording_of(outcome: Outcome) -> Recording:
         raise RecorderError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
-    if outcome.status == "interrupted":  # the file is complete up to that time; the caller's program must end, too
+    # the file is complete up to the interrupt, but the caller's program must end, too
+    if outcome.status == "interrupted":
         raise KeyboardInterrupt(outcome.reason)
     return Recording.open(outcome.path)
 
@@ -176,7 +179,7 @@ def simulate(
     force
         Whether to replace a file that exists.
     claim
-        The caller's claim of the path, if it has one and has already checked ``force``.
+        The claim of the path, if the caller made one after it checked ``force``.
     live
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
@@ -363,7 +366,8 @@ def header_of(space: Space) -> Header:
 def kept_accuracy(scene: Scene) -> dict[str, float]:
     """Return the requested accuracy, the time (s) up to which it is kept, and the largest Lyapunov exponent (1/s).
 
-    ``horizon`` exists only if the promise ends before the run, ``looked`` (s) only if the look-ahead's budget ran out.
+    The key ``horizon`` exists only if the promise ends before the run, ``looked`` (s) only if the look-ahead ran out of
+    budget.
     """
     promise, requested = scene.promise, scene.time.accuracy
     if promise is None or requested is None:

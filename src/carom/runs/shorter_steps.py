@@ -1,14 +1,14 @@
 """Compares a run with shorter steps at a few hundred instants, window by window.
 
 Chaos is not a fault, so runs are compared in windows. At the start of a window, the second run starts anew from the
-state of the run, and so does a *twin* with the steps of the run and positions that differ in the last bit. If the
-distance of the twin from the run has grown by G, then an error made in the window may have grown by as much: a body is
-compared with tolerances times G, and not at all once G exceeds `MOST_GROWTH`. A window ends when few bodies can still
-be compared. Regular motion has a single window, the whole run. The entries of the ledger are compared by statistics:
-their differences over the intervals between instants have a mean, which is a fault if it is certain and adds up to more
+state of the run, and so does a *twin*: it has the steps of the run, but its positions differ in the last bit. If the
+distance between twin and run has grown by the factor G, an error made in the window may have grown as much. A body is
+therefore compared with tolerances times G, and no longer compared once G exceeds `MOST_GROWTH`. A window ends when few
+bodies can still be compared. Regular motion has a single window, the whole run. The entries of the ledger are compared
+by statistics: the mean difference in an interval between two instants is a fault if it is certain, and adds up to more
 than a tolerance.
 
-Where bodies differ, both runs are repeated from the instant before with all contacts; `close_look` computes the
+If bodies differ, both runs are repeated from the previous instant with all contacts, and `close_look` computes the
 differences that loads and the sharing of impulses allow.
 """
 
@@ -36,25 +36,26 @@ from carom.state.books import NOTHING
 from carom.state.energies import Energy
 from carom.state.frame import Frame
 
-STATE = 1e-3  # tolerance of positions over radius and distance covered, and of velocities over the body's speed
-PULLED = 0.1  # tolerance of velocities over their change in a step by forces that vary along a path
+# tolerance of positions relative to radius and distance covered, of velocities relative to the body's speed
+STATE = 1e-3
+PULLED = 0.1  # tolerance of velocities relative to their change in a step by forces that vary along a path
 ROUGH = 20.0  # factor on the tolerances of bodies that rub under load while a contact begins, ends or changes its mode
-LEDGER = 1e-3  # tolerance of an entry over the energy that moves, as `record.energy_tolerance` by default
-SUDDEN = 0.2  # tolerance of an entry in a single interval over the kinetic energy, where little of it is uncertain
-CHAOTIC = 5e-2  # the same tolerance where chaos ends the comparison of bodies, so that entries are statistics
-REGULAR = 0.99  # compared fraction of the motion below which chaos decides
-OVERLAP = 5e-2  # tolerance of overlaps over the smaller radius; a step may move bodies by half a radius or more
+LEDGER = 1e-3  # tolerance of a ledger entry relative to the moved energy; the default of `record.energy_tolerance`
+SUDDEN = 0.2  # tolerance of a ledger entry in one interval, relative to the kinetic energy, if most of this is certain
+CHAOTIC = 5e-2  # tolerance of a ledger entry if chaos ends the comparison of bodies, so that entries are statistics
+REGULAR = 0.99  # chaos decides if less than this fraction of the motion was compared
+OVERLAP = 5e-2  # tolerance of overlaps relative to the smaller radius; a step may move bodies by half a radius or more
 MOST_GROWTH = 300.0  # growth beyond which a twin's tolerance of positions would be a third of the distance covered
-COMPARABLE = 0.5  # comparable fraction of the free bodies below which a new window begins
-CERTAIN = 4.0  # standard errors of an entry's mean difference that make it certain
-FEWEST_INTERVALS = 8  # for a mean
+COMPARABLE = 0.5  # a new window begins when less than this fraction of the free bodies is comparable
+CERTAIN = 4.0  # number of standard errors at which the mean difference of a ledger entry is certain
+FEWEST_INTERVALS = 8  # fewest intervals for a mean difference
 AT_REST = 1e-6  # speed, relative to the largest, below which bodies are compared as if they moved so fast
 EPS = float(np.finfo(np.float64).eps)
 
 CALLED = {"position": "distance covered", "velocity": "velocity", "spin": "speed of the surface"}
-MOST_IMPACTS = 3  # that a message lists
+MOST_IMPACTS = 3  # most impacts that a message lists
 
-FRICTION, FORCES, CORRECTED = 1, 2, -1  # places among the ledger's entries: see `_entries`
+FRICTION, FORCES, CORRECTED = 1, 2, -1  # indices of ledger entries: see `_entries`
 
 Impacts = tuple[tuple[str, float], ...]  # names of both ends, and closing speed in m/s
 
@@ -68,13 +69,13 @@ class Moved:
     time: float  # s, time by which the difference had appeared
     bodies: tuple[int, ...]  # numbers of bodies and, from n on, planes; empty for a ledger entry
     names: str  # names of these bodies; empty for a ledger entry
-    run: float  # value in the run, in SI units; a distance from it is its size
+    run: float  # value in the run, in SI units; 0 for a distance
     refined: float  # value with shorter steps
     by: float  # size of the difference
     allowed: float  # largest allowed difference
     unit: str  # SI unit of the values; empty for pure numbers
-    impacts: Impacts = ()  # the body's first few impacts of the run in this interval
-    refined_impacts: Impacts = ()  # the same impacts with shorter steps
+    impacts: Impacts = ()  # the body's first few impacts in this interval of the run
+    refined_impacts: Impacts = ()  # the body's first few impacts with shorter steps
 
     def text(self, units: UnitSystem = SI) -> str:
         """Describe the observable, in printed units."""
@@ -114,7 +115,7 @@ class Spaces:
 
 
 def _reached(space: Space, time: float) -> Frame:
-    """Run to a time (s); return the frame there."""
+    """Run to a time (s); return the frame at that time."""
     *_, last = space.run(until=time, schedule=at(()))
     return last
 
@@ -140,7 +141,7 @@ class Comparison:
         self._fine: Space | None = None if self._batches else maker.space(1.0 / factor)
         self._closely: tuple[Space, Space] | None = None  # the run and the shorter steps, with contacts
         self._rng = np.random.default_rng(0)  # draws the directions in which twins are displaced
-        self.last: Frame | None = None  # of the run
+        self.last: Frame | None = None  # last frame of the run
         self._last_fine: Frame | None = None
         self._last_twin: Frame | None = None
         self.moved: list[Moved] = []
@@ -198,13 +199,13 @@ class Comparison:
             self._opened = frame
 
     def _judge_losses(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame, of_twin: FloatArray) -> None:
-        """Compare the entries of an interval at whose start nearly all the energy was in bodies of certain motion.
+        """Compare the ledger entries of an interval that began with nearly all energy in bodies of certain motion.
 
-        Chaos within it may change who has the energy, but hardly how much of it is left. An entry is judged if the twin
-        agrees with the run, or with the shorter steps: then the run alone is wrong. The quantity must also differ two
-        steps later, since an impact may be just before or after the instant. Where positions differ, forces have done
-        different work, and contacts remove the energy that corrections of positions add. Forces may let held bodies
-        close within a step; with shorter steps, these bodies bounce.
+        Chaos within the interval may change which body has the energy, but hardly how much energy is left. An entry is
+        judged if the twin agrees with the run, or agrees with the shorter steps, which means that the run alone is
+        wrong. The quantity must also differ two steps later, since an impact may be just before or just after the
+        instant. If positions differ, forces have done different work, and contacts remove the energy that position
+        corrections add. Forces may let held bodies close within a step; with shorter steps, these bodies bounce.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)
@@ -254,11 +255,11 @@ class Comparison:
         return float(energy[self._growth <= MOST_GROWTH].sum() / energy.sum()) if energy.any() else 0.0
 
     def finish(self) -> None:
-        """Judge the entries of the ledger, over all intervals.
+        """Judge the entries of the ledger over all intervals.
 
         If the overlap of a heavy body is corrected by a millionth of its radius, its energy may change by more than a
-        thousandth of the kinetic energy. Therefore the work of the forces over the difference of the positions is
-        allowed, too. Each window begins without a difference, so the sum over the windows is allowed.
+        thousandth of the kinetic energy. Therefore the work of the forces over the difference of the positions is also
+        allowed. Each window begins without a difference, so this work is summed over the windows.
         """
         if len(self._differences) < FEWEST_INTERVALS or self.last is None:
             return
@@ -288,7 +289,7 @@ class Comparison:
         shift = self._apart * self._rng.choice([-1.0, 1.0], frame.position.shape)
         shift[~self._free] = 0.0
         self._twin.restore(replace(checkpoint, position=frame.position + shift))
-        if self._batches:  # such an integrator takes its own steps unless the scene limits them
+        if self._batches:  # an integrator that makes batches of steps chooses them itself, unless the scene limits them
             self._fine = self._maker.space(1.0 / self._factor, max_dt=dt / self._factor)
         assert self._fine is not None
         self._fine.restore(checkpoint)
@@ -341,7 +342,7 @@ class Comparison:
         suspects: dict[int, list[str]] = {}
         for name, (vectors, least, _) in differences.items():
             ratio = np.where(compared, np.sqrt((vectors**2).sum(axis=1)) / (least * growth), 0.0)
-            if self._box is not None:  # the body crossed the border in one run only
+            if self._box is not None:  # the body may have crossed the border in one run only
                 ratio = np.where(np.abs(vectors).max(axis=1) < self._box.min() / 4.0, ratio, 0.0)
             for body in np.flatnonzero(ratio > 1.0).tolist():
                 suspects.setdefault(body, []).append(name)
@@ -358,7 +359,8 @@ class Comparison:
             if body in done:
                 continue
             touching = look.touching(body)
-            if touching.last_impact > frame.time - frame.dt:  # too near the instant: waits for the next instant
+            # the impact is too near the instant, so the next instant decides
+            if touching.last_impact > frame.time - frame.dt:
                 waits = True
                 done |= touching.bodies
                 continue
@@ -390,7 +392,7 @@ class Comparison:
         return bool(guilty) or not waits
 
     def _look_closely(self, before: Frame, frame: Frame, fine_before: Frame) -> CloseLook:
-        """Repeat both runs between two instants, with their contacts; loads of the run began some steps before."""
+        """Repeat both runs between two instants, with their contacts; the run begins some steps earlier, for loads."""
         since = next((one for one in reversed(self._past) if one.step <= before.step - LASTS), before)
         states = zip(self._close_spaces(frame.dt), (since, fine_before), strict=True)
         run, refined = (
@@ -399,7 +401,7 @@ class Comparison:
         return CloseLook(run, refined, self._maker.start)
 
     def _close_spaces(self, dt: float) -> tuple[Space, Space]:
-        """Return spaces that record contacts: one with the run's steps, at first of ``dt`` s, one with shorter."""
+        """Return spaces that record contacts: one with the run's steps, at first ``dt`` s, one with shorter steps."""
         if self._closely is None:
             max_dt = dt / self._factor if self._batches else None
             make = self._maker.space
@@ -427,7 +429,8 @@ class Comparison:
         deep = 0.0 if one is None else one.value
         shallow = 0.0 if other is None else other.value
         self._note("overlap", abs(deep - shallow), OVERLAP)
-        if abs(deep - shallow) > OVERLAP and not any(each.observable == "overlap" for each in self.moved):  # the first
+        # the first overlap that differs
+        if abs(deep - shallow) > OVERLAP and not any(each.observable == "overlap" for each in self.moved):
             worst = one if one is not None and deep > shallow else other
             assert worst is not None
             ends = tuple(worst.bodies)
@@ -449,10 +452,10 @@ def _booked(before: Frame, frame: Frame) -> FloatArray:
 
 
 def _without_what_slips(differ: FloatArray) -> FloatArray:
-    """Return differences of the entries without the energy that a wall or a flow gives to a sliding contact.
+    """Return differences of ledger entries without the energy that a wall or a flow gives to a sliding contact.
 
-    Friction removes this energy at once, so both entries follow the load of that contact, which many contacts may share
-    differently, and no energy is left.
+    Friction removes this energy at once, so none of it is left. Both entries depend only on the contact's load, and
+    many contacts may share a load differently.
     """
     rest = differ.copy()
     for k in range(FORCES, CORRECTED % len(rest)):

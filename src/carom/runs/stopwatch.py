@@ -8,7 +8,7 @@ from carom.physics.jit.kernel_watch import KernelWatch
 
 
 class Stopwatch:
-    """Seconds of computing since its start: wall time, or the CPU time of the process while others hold it up."""
+    """Seconds of computing since its start: wall time, or the CPU time of the process while other programs delay it."""
 
     def __init__(self) -> None:
         self._wall, self._computing = time.perf_counter(), time.process_time()

@@ -1,8 +1,8 @@
 """Compiles all kernels ahead of time, in this process or in a second one beside the first run on a machine.
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
-and neither compiles a kernel that the other has begun (see `jit.cache`). The second process begins with the kernels
-that a run needs last. Compiling ahead only fills the cache; if it fails, the run compiles everything itself.
+and no process compiles a kernel that the other process has begun (see `jit.cache`). The second process begins with the
+kernels that a run needs last. Compiling ahead only fills the cache; if it fails, the run compiles everything itself.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ from carom.scene.start import half_spaces
 from carom.scene.units.system import SI
 from carom.state.energies import Ledger
 
-# These scenes together need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
+# These scenes together need every kernel. For a kernel that none of these scenes needs, add a scene (a test checks
+# this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
 _CROWD = [{"count": 8, "radius": {"min": 0.1, "max": 0.4}, "velocity": {"dispersion": 1.0}}]
 _POINTS = {"gravity": {"constant": 1.0}, "contact": {"enabled": False}}
@@ -178,7 +179,7 @@ QUIET = 2.0  # s without a compilation after which the rest of a scene is expect
 
 
 def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:
-    """Run small scenes, and the beginning of ``scenes``, which compiles all of their kernels that are not in the cache.
+    """Run small scenes and the beginning of ``scenes``, to compile all their kernels that are not in the cache.
 
     The kernels of walls, of sheared boxes, and of contact laws other than Coulomb's have variants for the features that
     a scene requires. Each variant takes 10 to 20 s, so only ``scenes`` compile them.
@@ -212,7 +213,7 @@ POINTS: dict[str, Any] = {
 
 
 def compile_ahead() -> None:
-    """Compile the kernels of most runs in reverse order, so that both processes meet only once and neither waits."""
+    """Compile the kernels of most runs in reverse order, so that both processes meet only once, without waiting."""
     scene = Scene.from_dict(POINTS)
     bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
     _compile_encoding()

@@ -37,8 +37,8 @@ def rerun(
 ) -> Window:
     """Run a recording again from its last checkpoint before a time (s), for data that the file does not hold.
 
-    The result has the bodies, contacts, impacts and trajectories of a `Recording`, but computed, in float64. A rerun
-    only moves forward: request later times after earlier ones.
+    The result offers bodies, contacts, impacts and trajectories as a `Recording` does, but computed, in float64. A
+    rerun only moves forward: request later times after earlier ones.
 
     Parameters
     ----------
@@ -85,7 +85,8 @@ class Window:
         checkpoint = checkpoint_before(recording, float(np.nextafter(before, -np.inf)))
         self.begin = checkpoint.step
         self.differs: int | None = None  # first recorded step whose bits differ
-        self.impact_sums: dict[int, ImpactSums] = {}  # since the previous frame, by step of each frame of `impacts`
+        # sums of impacts since the previous frame, by step, for the frames of `impacts`
+        self.impact_sums: dict[int, ImpactSums] = {}
         try:
             scene = recorded_scene(recording)
         except SceneError as error:
@@ -95,7 +96,7 @@ class Window:
         self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
 
     def cell(self, time: float) -> FloatArray | None:
-        """Return the size of the periodic box, (3,) m, or of a sheared one the vectors to its images at a time (s)."""
+        """Return the size of the periodic box, (3,) m; for a sheared box, the vectors to its images at a time (s)."""
         if self._domain.period is None:
             return None
         size = np.array(self._domain.period)
@@ -127,7 +128,7 @@ class Window:
         raise self._ends_before(at)
 
     def states(self, steps: Sequence[int], bodies: Sequence[int]) -> list[dict[str, FloatArray]]:
-        """Return the states of selected bodies in recorded frames, which are given by their ascending steps."""
+        """Return the states of selected bodies in recorded frames; ``steps`` has the frames' steps, ascending."""
         wanted, states = set(steps), list[dict[str, FloatArray]]()
         if steps[0] < self.begin:
             raise RecordingError(f"the rerun begins at step {self.begin}, after step {steps[0]}: rerun an earlier time")
@@ -234,7 +235,7 @@ def space_of(
     ----------
     continued
         Whether the recorded run continues; otherwise the bodies of the checkpoint start another run. At the start of a
-        run, a space already has the state of the checkpoint, and the contacts of frame 0.
+        run, a space already has the checkpoint's state and the contacts of frame 0.
     record_contacts
         Whether frames carry the contact table.
 

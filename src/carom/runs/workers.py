@@ -1,8 +1,8 @@
-"""Runs tasks in processes of this machine, one at a time in each. `sweep.cluster` runs tasks on a Dask cluster.
+"""Runs tasks in processes of this machine, one at a time in each process. `sweep.cluster` runs tasks on a Dask cluster.
 
-A worker is a Python process that imports nothing from the folder in which the command runs (``-P``). The worker
-receives its tasks over a socket without a name, which no other user can open. The worker ignores signals that request
-its end, because the command handles them, and ends as soon as the command has ended in any way.
+A worker is a Python process that imports nothing from the folder in which the command runs (``-P``). It receives its
+tasks over a socket without a name, so no other user can open the socket. It ignores signals that request its end,
+because the command handles them, and ends as soon as the command has ended in any way.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Ended:
 
     key: Any
     value: Any = None
-    error: Exception | None = None  # the exception of the task, `WorkerDiedError` or `TaskDroppedError`
+    error: Exception | None = None  # the exception that the task raised, `WorkerDiedError` or `TaskDroppedError`
 
     @property
     def result(self) -> Any:
@@ -87,7 +87,7 @@ class _Job:
 
 @dataclass(slots=True, eq=False)
 class _Process:
-    process: subprocess.Popen[bytes]  # its standard input ends with this process
+    process: subprocess.Popen[bytes]  # the worker's standard input ends when this process ends
     is_ready: bool = False
     job: _Job | None = None
 
@@ -228,7 +228,7 @@ def work() -> None:
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-    life = os.dup(0)  # tasks have no standard input
+    life = os.dup(0)  # keep the parent's pipe here, so that tasks have no standard input
     with Path(os.devnull).open("rb") as nothing:
         os.dup2(nothing.fileno(), 0)
     threading.Thread(target=_end_with, args=(life,), name="end-with-parent", daemon=True).start()
@@ -255,7 +255,7 @@ def _answer(received: bytes) -> bytes:
         try:
             answer = pickle.dumps((False, error))
             pickle.loads(answer)
-        except Exception:  # an exception that pickle cannot rebuild from its arguments
+        except Exception:  # pickle cannot rebuild this exception from its arguments
             answer = pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}")))
         return answer
 
