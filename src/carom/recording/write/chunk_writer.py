@@ -24,7 +24,7 @@ from carom.recording.write.whole_file import Claim
 class Writer:
     """Writes an .rrd from the chunks of other files under a temporary name, and renames it once it is complete.
 
-    Leaving the context closes the file and gives it its name; leaving it with an exception removes the unfinished file.
+    At the end of the context, the file is closed and gets its name; after an exception, the unfinished file is removed.
     """
 
     def __init__(self, path: Path, application_id: str, recording_id: str) -> None:
@@ -48,7 +48,7 @@ class Writer:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, traceback: object) -> None:
-        """Close the file. Raise RecordingError if some of the data are not in it."""
+        """Close the file. Raise RecordingError if some of the data are not in the file."""
         try:
             self._stream.disconnect()
             self._sink.close()
@@ -75,9 +75,10 @@ class Writer:
         self._stream.log(path, archetype, static=True)
 
     def send_property(self, name: str, values: Mapping[str, Scalar | IntArray]) -> None:
-        """Send a recording property, which is in the file before all that is sent later."""
+        """Send a recording property, which the file then holds before all later data."""
         self._stream.send_property(name, any_values(values))
-        self._stream.flush(timeout_sec=FLUSH)  # Rerun's encoder would keep it until the end, behind chunks
+        # Rerun's encoder would otherwise write the property at the end, after the chunks
+        self._stream.flush(timeout_sec=FLUSH)
 
     def send_layout(self, layout: rrb.Blueprint) -> None:
         """Send the layout that the file opens with."""

@@ -36,9 +36,9 @@ from carom.recording.write.rows import Index, Rows, any_column, vector_column
 from carom.state.checkpoint import Checkpoint
 from carom.state.frame import Frame
 
-_ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
+_ROUNDING = 1e-9  # fraction of the largest magnitude in the recorded frames so far
 NO_SUMS = np.empty(0)
-_JOINED = 4096  # most edges, contacts and impacts in a block of several frames: 0.6 MB, which stay in the cache
+_JOINED = 4096  # most edges, contacts and impacts in a block of several frames: 0.6 MB, which fit into the cache
 
 
 class BatchContacts:
@@ -52,8 +52,8 @@ class BatchContacts:
         rows = [NO_ROWS if frame.contact_rows is None else frame.contact_rows for frame in batch]
         impacts = [NO_ROWS if frame.impacts is None else frame.impacts for frame in batch]
         each = np.array([(len(g.overlaps), len(r), len(i)) for g, r, i in zip(graphs, rows, impacts, strict=True)])
-        self.edges, self.contacts, self.impacts = each.T.copy()  # (frames,) their numbers
-        self._frames = list[slice]()  # of each block
+        self.edges, self.contacts, self.impacts = each.T.copy()  # (frames,) numbers of edges, contacts and impacts
+        self._frames = list[slice]()  # range of frames in each block
         self.blocks = list[FrameContacts]()  # the arrays of consecutive frames
         begin, size, sizes = 0, 0, each.sum(axis=1).tolist()
         for end, more in enumerate([*sizes[1:], np.inf], start=1):
@@ -86,7 +86,7 @@ class BatchContacts:
         return found
 
     def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice, slice]]:
-        """Yield each block, the slice of its frames, and the slice of an array with ``each`` elements per frame."""
+        """Yield each block, the slice of its frames, and its slice of an array that has ``each`` elements per frame."""
         ends = np.concatenate(([0], np.cumsum(each))).tolist()
         for block, frames in zip(self.blocks, self._frames, strict=True):
             yield block, frames, slice(ends[frames.start], ends[frames.stop])
@@ -101,7 +101,7 @@ class BatchContacts:
     def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
         """Return the impacts with the largest normal impulses, in order of time, and their indices in each frame.
 
-        ``counts`` is the number of arrows in each frame, (frames,). Of equal impulses, the first are selected.
+        ``counts`` is the number of arrows in each frame, (frames,). Among equal impulses, the first are selected.
         """
         return self._strongest([block.impacts for block in self.blocks], self.impacts, counts)
 
@@ -168,7 +168,8 @@ def force_rows(
 ) -> Iterable[Rows]:
     """Draw the normal impulses and, with friction, the friction impulses on body j as arrows at the contact point.
 
-    Where j is a plane or a wall, numbers from ``bodies`` on, they are those on body i: normals point out of surfaces.
+    If j is a plane or a wall (a number from ``bodies`` on), the arrows show impulses on body i: normals point out of
+    surfaces.
 
     In each frame, (frames,), the ``drawn`` contacts with the largest normal impulses have arrows, shorter than
     ``longest`` (m). ``middle`` is the middle of the frame's scale (N s); impulses below its floor (N s) have arrows
@@ -213,12 +214,13 @@ class ContactEncoder:
     def __init__(
         self,
         header: Header,
-        origin: FloatArray,  # (3,) m, of the drawing
-        references: drawing.References,  # missing ones are determined by the first frame with something to draw
+        origin: FloatArray,  # (3,) m, origin of the drawing
+        references: drawing.References,  # the first frame with something to draw determines missing references
         floors: ArrowFloors,
-        before: RecordedImpacts,  # before the first frame
+        before: RecordedImpacts,  # numbers of impacts before the first frame
         *,
-        everything: bool,  # encode everything, whatever the scene requests, for a comparison with a recording
+        # whether to encode everything, whatever the scene requests, for a comparison with a recording
+        everything: bool,
     ) -> None:
         self.header = header
         self._origin = origin
@@ -231,17 +233,17 @@ class ContactEncoder:
 
     @property
     def impacts(self) -> RecordedImpacts:
-        """The impacts of all batches so far."""
+        """Numbers of impacts in all batches so far."""
         return RecordedImpacts(self._recorded, self._count - self._recorded)
 
     def columns(self, batch: Sequence[Frame], contacts: BatchContacts, position: FloatArray) -> list[ComponentColumn]:
-        """Return the columns for the edges of a batch's frames, with bodies at (frames, n, 3) m."""
+        """Return the columns for the edges of a batch's frames; bodies are at ``position``, (frames, n, 3) m."""
         self._contacts, self._middle = contacts, contacts.middles()
         counts = contacts.edges, contacts.contacts, contacts.impacts
         self._kept = self._plan.choose(position, *counts, contacts.hardest())
         self._impacts, self._chosen = contacts.strongest_impacts(self._kept.impacts)
         columns = contact_columns(contacts, self._middle, self.header.radius)
-        if self.header.engine:  # its bodies may not be spheres: record points, normals and frictions
+        if self.header.engine:  # the engine's bodies may not be spheres: record points, normals and frictions
             rows = np.concatenate([block.rows for block in contacts.blocks])
             for name, prefix in (("point", ""), ("normal", "n"), ("friction", "friction_")):
                 vectors = np.stack([rows[f"{prefix}{axis}"] for axis in "xyz"], axis=1)
@@ -260,7 +262,7 @@ class ContactEncoder:
         header, kept, impacts = self.header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
         floors = self._floors.raised(FORCE_NORMAL, self._contacts.largest())
-        # written even without arrows, to clear the contacts of the previous frame
+        # the row is written even without arrows, to clear the contacts of the previous frame
         yield from force_rows(
             *(index, self._contacts, self._middle, kept.arrows, longest),
             *(self._origin, header.bodies, header.has_friction, floors, [any_column(FLOOR, floors)]),
@@ -274,7 +276,7 @@ class ContactEncoder:
     def instants(self, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> list[Instant]:
         """Return the states at the impacts of the last batch that get a frame, given the frame before the batch."""
         found = list[Instant]()
-        first = np.cumsum(self._kept.impacts) - self._kept.impacts  # of each frame's chosen impacts
+        first = np.cumsum(self._kept.impacts) - self._kept.impacts  # index of the first chosen impact of each frame
         for f in np.flatnonzero(self._kept.scenes).tolist() if self._shows_bodies else ():
             frame, last, count = batch[f], batch[f - 1] if f else before, self._before[f]
             if last is None or frame.impacts is None or frame.time <= last.time:
@@ -285,7 +287,7 @@ class ContactEncoder:
         return found
 
     def look(self, impacts: Records | None) -> None:
-        """Choose references from the first impacts with something to draw."""
+        """Choose the references of arrows from the first impacts that have something to draw."""
         chosen, wanted = self._references.chosen, (IMPACTS, IMPACT_ENERGY, *self._turning)
         if impacts is None or len(impacts) == 0 or all(name in chosen for name in wanted):
             return
@@ -293,10 +295,11 @@ class ContactEncoder:
         lost = lost[lost > _ROUND_OFF * impacts["normal_impulse"] * impacts["approach_speed"]]
         scales = {IMPACTS: impacts["normal_impulse"], IMPACT_ENERGY: lost}
         if self._turning:
-            turns, most = turns_of(impacts), impacts["arm_i"] * impacts["normal_impulse"]  # N m s, by friction of 1
+            # N m s, with a coefficient of friction of 1
+            turns, most = turns_of(impacts), impacts["arm_i"] * impacts["normal_impulse"]
             size = drawing.magnitudes(turns.reshape(-1, 3)).reshape(-1, 2)
             size[size <= _ROUND_OFF * most[:, None]] = 0.0
-            inertia = np.append(self.header.inertia, np.inf)  # of planes
+            inertia = np.append(self.header.inertia, np.inf)  # a plane has infinite inertia
             ends = np.minimum(np.stack([impacts["i"], impacts["j"]], axis=1), self.header.bodies)
             scales |= dict(zip(self._turning, (size, size / inertia[ends]), strict=True))
         for name, values in scales.items():
@@ -308,15 +311,16 @@ class ContactEncoder:
 class ArrowFloors:
     """The magnitudes below which arrows of a recording are not drawn, by the entity of the arrows.
 
-    The largest magnitude of a run is known only at its end, so floors rise with the largest so far. Each frame contains
-    its floors. A replay or a resumed run that begins at a later frame thus has the floors of the whole run.
+    The largest magnitude of a run is known only at its end, so floors rise with the largest magnitude so far. Each
+    frame contains its floors, so a replay or a resumed run that begins at a later frame has the floors of the whole
+    run.
     """
 
     def __init__(self, before: Mapping[str, float]) -> None:
         self._last = dict(before)
 
     def raised(self, path: str, largest: FloatArray) -> FloatArray:
-        """Raise the floors by the largest magnitudes (frames,) of the next frames; return the floors of these."""
+        """Raise the floors by the largest magnitudes (frames,) of the next frames; return these frames' floors."""
         found = self.alone(largest)
         found[:1] = np.maximum(found[:1], self._last.get(path, 0.0))
         found = np.maximum.accumulate(found)
@@ -324,5 +328,5 @@ class ArrowFloors:
         return found
 
     def alone(self, largest: FloatArray) -> FloatArray:
-        """Return the floors of frames that do not depend on earlier ones."""
+        """Return floors for frames that do not depend on earlier frames."""
         return _ROUNDING * largest

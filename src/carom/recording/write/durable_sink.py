@@ -53,11 +53,11 @@ class DiskReserve:
         self._file.close()
 
 
-FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer has failed
-_SPARE = 32 << 20  # bytes of address space for the last messages, if `ulimit -v` leaves no other; otherwise unused
-_PIPE = 1 << 20  # bytes; a user with many pipes gets smaller ones
+FLUSH = 60.0  # s, time limit for Rerun's stream to the pipe; a disk that takes longer has failed
+_SPARE = 32 << 20  # bytes of address space kept for the last messages, in case `ulimit -v` leaves nothing else
+_PIPE = 1 << 20  # bytes in a pipe; a user with many pipes gets smaller pipes
 _POLL = 0.001  # s
-_GATHER = 0.002  # s between two reads; each acquires the interpreter lock, which the physics needs
+_GATHER = 0.002  # s between two reads; each read acquires the interpreter lock, which the physics needs
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -66,10 +66,10 @@ class DurableSink:
 
     def __init__(self, path: Path, reserve: int) -> None:
         self.path = path
-        self.full = False  # the disk is full and the reserve in use: close the recording now
+        self.full = False  # whether the disk is full and the reserve in use; the recording must then be closed
         self.error: OSError | None = None  # the write error after which nothing more is written
         self.messages = 0
-        self.written = 0  # bytes, always at the end of a message
+        self.written = 0  # bytes written, always up to the end of a message
         try:
             self._reserve = DiskReserve(path.parent)
             self._reserve.grow(reserve)
@@ -96,7 +96,7 @@ class DurableSink:
         return f"/dev/fd/{self._entry}"
 
     def opened(self) -> None:
-        """Close our end of the pipe once Rerun's sink has opened its own, which then ends the pipe."""
+        """Close our writing end of the pipe once Rerun's sink has opened its own; the pipe then ends with that sink."""
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
@@ -148,9 +148,10 @@ class DurableSink:
         while size:
             waiting.poll()
             self._awaited.wait(_GATHER)
-            with self._lock:  # so that `drain` can take an empty pipe as a sign that everything is written
+            with self._lock:  # with the lock, an empty pipe tells `drain` that everything is written
                 size = os.readv(self._source, [self._piece])
-                if self.error is None:  # otherwise Rerun's sink would block forever
+                # the pipe is read even after an error; otherwise Rerun's sink would block forever
+                if self.error is None:
                     self._write_whole(self._piece[:size])
 
     def _write_whole(self, piece: memoryview) -> None:
@@ -169,7 +170,7 @@ class DurableSink:
             self.error = OSError(errno.EIO, f"{type(error).__name__}: {error}")
 
     def _write(self, message: memoryview) -> None:
-        if self.error is not None:  # from an earlier message
+        if self.error is not None:  # the error belongs to an earlier message
             return
         if self._limit is not None and self.written + len(message) > self._limit - self._reserve.size:
             self._use_reserve()  # treat a file size limit like a full disk, before it is reached
@@ -182,7 +183,7 @@ class DurableSink:
                     self._use_reserve()
                     continue
                 os.ftruncate(self._file, self.written)  # the file ends with a whole message
-                # without the traceback, whose frame would keep `rest` and the splitter's memory alive
+                # store the error without its traceback, whose frame would keep `rest` and the splitter's memory alive
                 self.error = error.with_traceback(None)
                 return
         self.written += len(message)
@@ -197,16 +198,17 @@ class DurableSink:
 
 _STATM = Path("/proc/self/statm")
 
-# Bytes, measured on heaps of spheres that touch 12 others and rounded up; `plan.limits` counts the bodies.
+# Bytes of address space for encoding, measured on heaps of spheres that touch 12 others, and rounded up; `plan.room`
+# counts bodies.
 _FRAME_PER_CONTACT = 400
 _CHECKPOINT_PER_CONTACT = 800
-_CLOSING = 16_000_000  # static data, layout, footer, and one reading of the file
+_CLOSING = 16_000_000  # bytes for static data, layout, footer, and one reading of the file
 _CLOSING_PER_CONTACT = 800
 _STATIC_PER_BODY = 1000
 
 
 class AddressReserve:
-    """Refuses a batch when a limited address space (`ulimit -v`) runs short, while enough remains to close the file."""
+    """Refuses a batch when limited address space (`ulimit -v`) runs short, but still suffices to close the file."""
 
     def __init__(self, bodies: int) -> None:
         limit, _ = resource.getrlimit(resource.RLIMIT_AS)
@@ -229,7 +231,7 @@ class AddressReserve:
         contacts = [len(frame.contacts.pairs) for frame in batch]
         encoding = _FRAME_PER_CONTACT * sum(contacts) + _CHECKPOINT_PER_CONTACT * max(contacts)
         closing = self._least + _CLOSING_PER_CONTACT * max(contacts)
-        pages = int(_STATM.read_text(encoding="ascii").split()[0])  # in use
+        pages = int(_STATM.read_text(encoding="ascii").split()[0])  # pages in use
         if not self._keep(closing) or pages * resource.getpagesize() + encoding > self._limit:
             needed = f"{(encoding + closing) / 1e9:.2g} GB of address space"
             raise RecorderError(

@@ -50,16 +50,16 @@ from carom.recording.write.wall_places import moving_walls, piston_rows, wall_ro
 from carom.state.checkpoint import Checkpoint
 from carom.state.frame import Frame
 
-SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
+SPEED = "speed"  # key in the property `arrows`: the speed (m/s) in the middle of the colour scale
 NO_IMPACTS = RecordedImpacts()
-_LABELLED = 6  # arrows of a frame that have their magnitudes beside them, so that labels cover few others
-_BEYOND = 0.8  # of a radius: places of these beyond the tip, since a viewer draws labels below their places
+_LABELLED = 6  # most arrows of a frame that are labelled with their magnitudes, so that labels cover few other arrows
+_BEYOND = 0.8  # distance of a label beyond the tip, in radii, since a viewer draws a label below its place
 
 
 class BatchEncoder:
     """Converts batches of frames to rows, entity by entity.
 
-    It has the state on which rows depend: the origin, the last written phase and dt limit, the references of the
+    Its state is what the rows depend on: the origin, the last written phase and dt limit, the references of the
     arrows, the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the series encoded so
     far.
     """
@@ -67,7 +67,7 @@ class BatchEncoder:
     def __init__(
         self,
         header: Header,
-        origin: FloatArray,  # (3,) m, of the drawing
+        origin: FloatArray,  # (3,) m, origin of the drawing
         # for a resumed run: the state after the earlier rows
         arrow_references: Mapping[str, float] | None = None,
         last_state: Mapping[str, str] | None = None,
@@ -94,7 +94,7 @@ class BatchEncoder:
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def extend(self, header: Header) -> None:
-        """Encode later frames with more bodies, drawn in the same way as the bodies so far."""
+        """Encode later frames with more bodies, which are drawn like the bodies so far."""
         self.header = replace(header, drawn_as=drawing.shape(self.header))
         if self._contacts:
             self._contacts.header = self.header
@@ -105,7 +105,7 @@ class BatchEncoder:
         return self._contacts.impacts if self._contacts else None
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
-        """Return the rows of all entities of a batch, without checkpoints. In a store, the frames are consecutive."""
+        """Return the rows of all entities of a batch, without checkpoints. In a ``store``, frames are consecutive."""
         refuse_wrong_arrays(self.header, batch, self._before)
         index, position = Index.of(batch), _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
@@ -160,7 +160,7 @@ class BatchEncoder:
         return Rows(paths.CHECKPOINT, Index.of(frames), columns)
 
     def at_impacts(self, found: Sequence[Instant]) -> Iterable[Rows]:
-        """Draw the states at some impacts; these rows are on the timelines of time and of impacts, and have no step."""
+        """Draw the states at some impacts; these rows have a time and the number of an impact, but no step."""
         if not found:
             return
         numbers, ends = np.array([one.number for one in found]), np.array([one.end for one in found])
@@ -191,7 +191,7 @@ class BatchEncoder:
         yield from spin_rows(self.header, found, points)
 
     def _look(self, impacts: Iterable[Records | None]) -> None:
-        """Choose the references of impacts from the first ones."""
+        """Choose the references of impact arrows from the first impacts."""
         if self._contacts:
             for each in impacts:
                 self._contacts.look(each)
@@ -210,7 +210,7 @@ class BatchEncoder:
                 kind, turned = rr.Points3D, None
                 places = kind.descriptor_positions()
             case _:
-                # each instance needs a scale, since the default is 1; one colour serves all
+                # each instance needs a scale, since the default is 1; one colour is enough for all
                 kind, colours = rr.InstancePoses3D, None
                 places = kind.descriptor_translations()
                 scales = single(np.tile(np.repeat(self.header.radius, 3), len(centres) // n).reshape(-1, 3))
@@ -246,8 +246,8 @@ class BatchEncoder:
     ) -> Iterable[Rows]:
         """Return the arrows that show what turns bodies: torques of lasting contacts, and angular impulses of impacts.
 
-        Beside them are the arrows of τ/I and of the changes of spin. Frames of the run raise the floors of later
-        frames. Frames at impacts do not, since nothing has a torque there.
+        The arrows of τ/I and of the changes of spin are drawn beside them. Frames of the run raise the floors of later
+        frames; frames at impacts do not, since no body has a torque there.
         """
         raises = len(index.steps) > 0
         if self.header.has_torque:
@@ -267,7 +267,7 @@ class BatchEncoder:
         turning: TorqueList,
         points: SingleArray,
         *,
-        raises: bool,  # whether the frames raise the floors of later ones
+        raises: bool,  # whether these frames raise the floors of later frames
     ) -> Rows:
         """Return arrows of one kind, without arrows of rounding noise."""
         inertia = np.ones(self.header.bodies) if path in (paths.TORQUE, paths.ANGULAR_IMPULSE) else self.header.inertia
@@ -276,7 +276,7 @@ class BatchEncoder:
         if len(body) and path in paths.OF_LASTING and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
             first, frame, natural = magnitude[: each[k]] / inertia[body[: each[k]]], frames[k], 0.0
-            if frame.dt > 0:  # the torque that stops a body in one step, or its angular acceleration
+            if frame.dt > 0:  # reference: the torque that stops a body in one step, or its angular acceleration
                 drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
                 natural = float(
                     np.median(self.header.mass * self.header.radius * drawing.magnitudes(drift) / frame.dt / inertia)
@@ -297,7 +297,7 @@ class BatchEncoder:
         return Rows(path, index, columns)
 
     def _numbers(self, path: str, turning: TorqueList, arrows: Arrows) -> list[ComponentColumn]:
-        """Return both magnitudes of each arrow as a text; in a frame with many arrows, only of the largest."""
+        """Return both magnitudes of each arrow as a text; in a frame with many arrows, only the largest have a text."""
         written, units = [""] * len(turning.body), self.header.units
         other, ends = paths.PARALLEL[path], np.cumsum(turning.each)
         turns = turning.magnitude / self.header.inertia[turning.body]
@@ -363,7 +363,7 @@ class BatchEncoder:
             try:
                 values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
             except Exception as error:
-                # the function may belong to another package
+                # the function of the series may belong to another package
                 raise RecorderError(f"the series {series.path}: {type(error).__name__}: {error}") from error
             self.curves[series.path].see(index.times, values)
             yield Rows(series.path, index, self._scalars(series, values))
@@ -387,7 +387,7 @@ class BatchEncoder:
 
 
 def _leave_out(frames: Sequence[Frame], points: SingleArray) -> None:
-    """Leave bodies that wait out of the drawn centres, (frames, n, 3)."""
+    """Remove waiting bodies from the drawn centres, (frames, n, 3)."""
     for frame, drawn in zip(frames, points, strict=True):
         if (waits := frame.waits) is not None:
             drawn[waits] = np.nan
@@ -399,7 +399,7 @@ def graph_colours(pairs: IntArray, bodies: int) -> ColourArray:
 
 
 def _listed(name: str, frames: Sequence[Frame], store: FrameStore | None = None) -> TorqueList:
-    """List the bodies that are turned, frame by frame; of angular impulses, most frames have none."""
+    """List the bodies with a torque or an angular impulse, frame by frame; most frames have no angular impulses."""
     there = [each for frame in frames if (each := getattr(frame, name)) is not None]
     if len(there) < len(frames) or not (store is not None or any(each.any() for each in there)):
         none = np.zeros((0, 0, 3)), np.zeros(len(frames), dtype=np.int64), np.empty(0, dtype=np.uint32), np.empty(0)
@@ -453,6 +453,6 @@ def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | 
         for called, values, wanted in expected:
             if values is None or values.shape != wanted:
                 raise RecorderError(f"{called} has the shape {getattr(values, 'shape', None)} instead of {wanted}")
-        if edges and (graph.pairs.min() < 0 or graph.pairs[:, 0].max() >= n):  # planes and walls are second
+        if edges and (graph.pairs.min() < 0 or graph.pairs[:, 0].max() >= n):  # planes and walls come second in a pair
             raise RecorderError(f"{step}a contact has a wrong body number; bodies are 0 to {n - 1}")
         before, expected = frame, []

@@ -1,7 +1,8 @@
 """Loops over the bodies and contacts of a batch of frames that convert float64 state to the float32 that is drawn.
 
-They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its kernels. They
-process many frames and release the lock. A call takes some microseconds, as long as a frame of ten contacts.
+The loops are kernels because NumPy would hold the interpreter lock, which the physics needs after each of its kernels.
+The kernels process many frames, and release the lock. A call takes some microseconds, as long as a frame of ten
+contacts.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.recording.layout.drawing import part_of_longest
 
-SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)  # N s, a median to divide by
-_part_of_longest = inline(part_of_longest)  # the same function, compiled; NumPy uses the other for arrays
+SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)  # N s, smallest median that can be a divisor
+# `part_of_longest` for kernels; `part_of_longest` itself takes arrays of NumPy
+_part_of_longest = inline(part_of_longest)
 
 
 class FrameContacts(NamedTuple):
@@ -34,10 +36,10 @@ class FrameContacts(NamedTuple):
 class TorqueList(NamedTuple):
     """Torques that can be drawn, frame by frame."""
 
-    torque: FloatArray  # (frames, n, 3) N m, of all bodies
+    torque: FloatArray  # (frames, n, 3) N m, torques of all bodies
     each: IntArray  # (frames,) number of listed bodies in each frame
     body: NDArray[np.uint32]  # (m,) the bodies listed
-    magnitude: FloatArray  # (m,) N m, of their torques
+    magnitude: FloatArray  # (m,) N m, magnitudes of their torques
 
 
 class Arrows(NamedTuple):
@@ -85,7 +87,7 @@ def list_torques(torques: TorqueList) -> int:
         before = found
         for i in range(torque.shape[1]):
             x, y, z = abs(torque[f, i, 0]), abs(torque[f, i, 1]), abs(torque[f, i, 2])
-            largest = max(x, y, z)  # the unit, so that no square overflows
+            largest = max(x, y, z)  # unit of the components, so that no square overflows
             if largest > 0.0 and np.isfinite(x + y + z):
                 x, y, z = x / largest, y / largest, z / largest
                 body[found] = i
@@ -101,7 +103,7 @@ def draw_arrows(
 ) -> None:
     """Write arrows along the torques of the bodies listed, by the law of `carom.recording.layout.drawing`.
 
-    At the torque ``unit``, (n,) N m, the arrow of a body extends by half of ``l_max``.
+    A body with the torque ``unit``, (n,) N m, has an arrow of half the length ``l_max``.
     """
     (torque, each, body, magnitude), (origin, vector) = torques, arrows
     c = 0
@@ -128,9 +130,9 @@ def draw_edges(
 ) -> None:
     """Write lines (m, 6) between the centres of touching bodies, to the nearest image, and their colours (m,).
 
-    A line to a plane ends at the foot of the perpendicular. ``stages`` are the colours of the stages; later ones have
-    the last colour. The ``extremes`` (frames, 3) are the deepest overlap (m), the deepest over the smaller radius, and
-    the number of colours.
+    A line to a plane ends at the foot of the perpendicular. ``stages`` are the colours of the first stages; all later
+    stages have the last colour. The ``extremes``, (frames, 3), are the deepest overlap (m), the largest ratio of
+    overlap to smaller radius, and the number of colours.
     """
     pairs, normals, overlaps, colours = contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours
     e = 0
@@ -165,9 +167,9 @@ def write_contacts(
 ) -> int:
     """Write the data of the contacts, and how edges are drawn by their impulses; return the number of edges written.
 
-    It ends at the first edge without a contact. There are more contacts than edges if some contacts opened within the
-    step. ``middles`` (frames,) are the impulses (N s) in the middle of each scale; ``scale`` and ``widths`` are colours
-    and radii in ascending order of impulse.
+    Writing ends at the first edge without a contact. There are more contacts than edges if some contacts opened within
+    the step. ``middles`` (frames,) are the impulses (N s) in the middle of each scale; ``scale`` and ``widths`` are
+    colours and radii in ascending order of impulse.
     """
     pairs, rows = contacts.pairs, contacts.rows
     e, end_of_rows = 0, 0
@@ -193,7 +195,7 @@ def write_contacts(
 
 @long_kernel
 def find_middles(contacts: FrameContacts, positive: FloatArray, middles: FloatArray) -> None:
-    """Write the median of each frame's normal impulses (N s) that are more than zero; 1 if there are none.
+    """Write the median (N s) of each frame's positive normal impulses; 1 if a frame has none.
 
     ``positive`` is overwritten; it must be at least as long as the rows of any frame.
     """
@@ -223,9 +225,9 @@ def _median(values: FloatArray) -> float:
 
 @inner
 def _select(values: FloatArray, place: int) -> float:
-    """Partition values in place around the one that belongs at an index, and return it: Hoare's quickselect.
+    """Partition values in place around the value that belongs at an index; return that value (Hoare's quickselect).
 
-    Rejected: np.median and np.partition, which Numba compiles in 3 and 10 s.
+    Rejected: np.median and np.partition, which take Numba 3 s and 10 s to compile.
     """
     lo, hi = 0, len(values) - 1
     while lo < hi:
@@ -250,9 +252,9 @@ def _select(values: FloatArray, place: int) -> float:
 def pick_strongest(
     rows: Records, each: IntArray, counts: IntArray, scratch: FloatArray, chosen: IntArray, picked: Records
 ) -> None:
-    """Select the rows with the largest normal impulses of each frame, in their order; of equal ones the first.
+    """Select the rows with the largest normal impulses of each frame, in their order; among equal impulses, the first.
 
-    ``each`` and ``counts``, (frames,), are the numbers of rows, and of rows to select. The indices of the selected rows
+    ``each`` and ``counts``, (frames,), are the numbers of rows and of selected rows. The indices of the selected rows
     in their frames are written to ``chosen``, the rows to ``picked``. ``scratch`` is as long as the rows of any frame.
     """
     begin, found = 0, 0

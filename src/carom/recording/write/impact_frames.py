@@ -1,4 +1,4 @@
-"""Frames at the instants of impacts: bodies, edges and impulses at these times, energies and spins before and after.
+"""Frames at the instants of impacts: bodies, edges and impulses at the instant, energies and spins before and after it.
 
 These frames lie between two frames of the run, and have no step. Impulses, losses and normals belong to the impacts.
 Other changes between the two frames are assumed to be linear in time: energies, spins, orientations.
@@ -42,12 +42,12 @@ _BEFORE, _AFTER = 0x8A93A6FF, 0x5CE0B0FF
 class Instant(NamedTuple):
     """The state at an impact."""
 
-    number: int  # of the impact, from 1 on
+    number: int  # number of the impact, from 1 on
     end: float  # s, time of the next frame
     frame: Frame  # positions, contacts and impulses at the instant; nothing has a torque there
     energies: FloatArray  # (2, 5) J, `STEPPING` before and after all impacts of the instant
     bodies: IntArray  # (b,) bodies that meet: one if it meets a plane
-    spins: FloatArray | None  # (2, b, 3) rad/s, before and after; None if they are not modelled
+    spins: FloatArray | None  # (2, b, 3) rad/s, spins before and after; None if spins are not modelled
 
 
 def instants(
@@ -60,8 +60,8 @@ def instants(
 ) -> list[Instant]:
     """Determine the state at some impacts between two frames.
 
-    ``impacts`` are all impacts between them, `CONTACT_ROW`, in order of time; ``chosen`` and ``numbers``, (k,), are the
-    indices of the chosen ones and their numbers in the run.
+    ``impacts`` are all impacts between the frames, `CONTACT_ROW`, in order of time. ``chosen``, (k,), are indices of
+    the selected impacts, and ``numbers``, (k,), their numbers in the run.
     """
     box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
     times = impacts["time"][chosen]
@@ -91,10 +91,10 @@ def instants(
 
 
 def _together(impacts: Records, k: int) -> IntArray:
-    """Return the indices of the impacts at the time of one impact, by pair: the larger one if a pair meets twice."""
+    """Return the indices of the impacts at the time of one impact, by pair: the larger impact if a pair meets twice."""
     same = np.flatnonzero(impacts["time"] == impacts["time"][k])
     same = same[np.argsort(-impacts["normal_impulse"][same], kind="stable")]
-    same = np.append(k, same)  # the first of a pair is chosen
+    same = np.append(k, same)  # the first impact of a pair is kept
     _, first = np.unique(_pairs(impacts[same]), axis=0, return_index=True)
     return np.asarray(same[first])
 
@@ -116,7 +116,7 @@ class _Jumps:
         self._pairs = _pairs(impacts)
         self._before, self._after = before, frame
         spins = before.angular_velocity is not None and frame.angular_velocity is not None
-        self._turns = turns_of(impacts)  # (k, 2, 3) N m s, of both ends
+        self._turns = turns_of(impacts)  # (k, 2, 3) N m s, angular impulses on both ends
         self._turns[_still(header, before, frame, self._pairs)] = 0.0
         self._kicks = None  # (k, 2, 3) rad/s, changes of both spins
         if spins:
@@ -134,7 +134,7 @@ class _Jumps:
         return found[:-1]
 
     def energies(self, k: int) -> FloatArray:
-        """Return the energies before and after an impact and all others at its time, (2, 5) J."""
+        """Return the energies before and after all impacts at the time of an impact, (2, 5) J."""
         earlier, until = self._time < self._time[k], self._time <= self._time[k]
         smooth = _between(
             self._part(self._time[k]), _terms(self._before.energy), _terms(self._after.energy) - self._jump.sum(axis=0)
@@ -142,7 +142,7 @@ class _Jumps:
         return np.stack([smooth + self._jump[earlier].sum(axis=0), smooth + self._jump[until].sum(axis=0)])
 
     def spins(self, k: int, bodies: IntArray) -> FloatArray | None:
-        """Return the spins of bodies before and after an impact and all others at its time, (2, b, 3) rad/s."""
+        """Return the spins of bodies before and after all impacts at the time of an impact, (2, b, 3) rad/s."""
         if self._kicks is None:
             return None
         assert self._before.angular_velocity is not None and self._after.angular_velocity is not None
@@ -153,7 +153,7 @@ class _Jumps:
         return self._sides(k, bodies, self._before.velocity, self._after.velocity, pushes)
 
     def _sides(self, k: int, bodies: IntArray, first: FloatArray, last: FloatArray, kicks: FloatArray) -> FloatArray:
-        """Return vectors of bodies before and after an impact and all others at its time, (2, b, 3)."""
+        """Return vectors of bodies before and after all impacts at the time of an impact, (2, b, 3)."""
         time = self._time[k]
         found = np.empty((2, len(bodies), 3))
         for place, body in enumerate(bodies.tolist()):
@@ -172,7 +172,7 @@ class _Jumps:
         order = order[body[order] < header.bodies]
         body, kick, impact = body[order], self._kicks.reshape(-1, 3)[order], order // 2
         bodies, first, which, count = np.unique(body, return_index=True, return_inverse=True, return_counts=True)
-        # the earlier kicks of each body, added one by one: the bits of `_spin`
+        # the earlier kicks of each body, added one by one so that the bits equal the bits of `_spin`
         earlier, rank = np.zeros_like(kick), np.arange(len(body)) - first[which]
         for k in range(1, int(count.max(initial=0))):
             later = np.flatnonzero(rank == k)
@@ -183,7 +183,7 @@ class _Jumps:
         parts = np.array([self._part(time) for time in self._time.tolist()])[impact, None]
         spin = _between(parts, start[which], last[which]) + earlier
         gains, kicked = np.zeros(len(self._time)), (kick != 0.0).any(axis=1)
-        # a sum of products: the bits of a matrix product depend on the processor
+        # written as a sum of products, because the bits of a matrix product depend on the processor
         gain = header.inertia[body] * ((spin + 0.5 * kick) * kick).sum(axis=1)
         np.add.at(gains, impact[kicked], gain[kicked])
         return gains
@@ -206,7 +206,7 @@ def velocities_at(
     """Return the velocities of bodies before and after the k-th impact between two frames, (2, b, 3) m/s."""
     names = ("nx", "ny", "nz"), ("friction_x", "friction_y", "friction_z")
     normal, friction = (columns(impacts, each) for each in names)
-    impulse = impacts["normal_impulse"][:, None] * normal + friction  # on the second body
+    impulse = impacts["normal_impulse"][:, None] * normal + friction  # impulse on the second body
     pairs = _pairs(impacts)
     mass = np.append(header.mass, np.inf)[_ends(header, pairs)]
     mass[(mass == 0.0) | _still(header, before, frame, pairs)] = np.inf
@@ -235,7 +235,7 @@ def _terms(energy: Energy) -> FloatArray:
 
 
 def spin_rows(header: Header, found: Sequence[Instant], points: SingleArray) -> Iterable[Rows]:
-    """Draw the spins of bodies at (k, n, 3) m that meet, the earlier spins in grey; on the timeline of impacts only."""
+    """Draw the spins of bodies that meet, with earlier spins in grey, on the timeline of impacts only."""
     spinning = [(one, places, one.spins) for one, places in zip(found, points, strict=True) if one.spins is not None]
     if not spinning:
         return

@@ -39,8 +39,8 @@ def positions_at(
 ) -> FloatArray:
     """Return positions (k, n, 3) m at some times (k,) s between two frames.
 
-    ``impacts`` are all impacts between them, `CONTACT_ROW`, in order of time. The periodic box, (3,) m, is zero in open
-    space.
+    ``impacts`` are all impacts between the frames, `CONTACT_ROW`, in order of time. The periodic box, (3,) m, is zero
+    in open space.
     """
     start, dt, images, last = before.position, after.time - before.time, box, after.velocity
     path = minimum_images(after.position - start, shear.cell(box, after.time) if shear else box)
@@ -49,13 +49,13 @@ def positions_at(
         last = last.copy()
         last[:, flow] += shear.rate * (start + path - after.position)[:, gradient]
     s = np.clip((times - before.time) / dt, 0.0, 1.0)[:, None, None]
-    own, other = before.velocity * dt - path, path - last * dt  # Hermite's, about the straight line
+    own, other = before.velocity * dt - path, path - last * dt  # Hermite's cubic, relative to the straight line
     found: FloatArray = start + s * path + s * (1.0 - s) * ((1.0 - s) * own + s * other)
     struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
     order = np.argsort(struck, kind="stable")
     first = np.searchsorted(struck[order], np.arange(len(radius) + 1))
     own_impacts = _ImpactsByBody(impacts, first, order // 2)
-    most = int(np.diff(first).max(initial=0)) + 2  # with both frames
+    most = int(np.diff(first).max(initial=0)) + 2  # most corners of a path, with both frames
     motion = _Motion(before.time, after.time, start, path, radius, images)
     _pass_through(times, motion, own_impacts, _Corners(np.empty(most), np.empty((most, 3))), found)
     return found
@@ -83,15 +83,15 @@ class _ImpactsByBody(NamedTuple):
 class _Corners(NamedTuple):
     """Buffer for the corners of the path of one body: both frames, and its impacts between them.
 
-    If `_pass_through` allocated these arrays, it would take a second longer to compile.
+    If `_pass_through` allocated these arrays, its compilation would take a second longer.
     """
 
-    time: FloatArray  # s
-    position: FloatArray  # (…, 3) m, from the start
+    time: FloatArray  # s, times of the corners
+    position: FloatArray  # (…, 3) m, corners relative to the start
 
 
 def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame) -> FloatArray | None:
-    """Return orientations (k, n, 4) at some times (k,) s; None where bodies have none."""
+    """Return orientations (k, n, 4) at some times (k,) s; None if bodies have none."""
     if before.orientation is None or after.orientation is None:
         return None
     s = np.clip((times - before.time) / (after.time - before.time), 0.0, 1.0)[:, None, None]
@@ -136,27 +136,29 @@ def _pass_through(
                     found[m, body, k] = start[body, k] + (speed * (time - clock[c]) + corner[c, k])
 
 
-FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
-SHARE = 0.22  # of all other data that are counted here: about a fifth of the whole file, which has further data
-_ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
-_FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
-_HARDER = 1.25  # times the hardest impact with a frame; a harder one gets a frame beyond the budget
+FILE_BYTES = 300_000  # bytes of layout, styles and footer (docs/recording.md, Size)
+# bytes of contacts over all other bytes counted here: about a fifth of the whole file, which has further data
+SHARE = 0.22
+_ARROWS, _SCENES = 0.02, 0.04  # largest fractions of all other data: for arrows, and for frames at impacts
+_FEW_SCENES = 0.1 * FILE_BYTES  # bytes that frames at impacts may take in any recording
+_HARDER = 1.25  # an impact harder than the hardest one with a frame by this factor gets a frame even beyond the budget
 _SCENE = 850  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
-_CONTACT, _IMPACT, _ARROW = 12.5, 85, 36  # measured bytes in the file, compressed
+_CONTACT, _IMPACT, _ARROW = 12.5, 85, 36  # measured bytes of each in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
-DRAWN_BYTES, TURNED_BYTES = 12, 28  # of a body in a frame: its centre in float32, and with a quaternion
+DRAWN_BYTES, TURNED_BYTES = 12, 28  # bytes of a body in a frame: a centre in float32, and a centre with a quaternion
 _AT_REST = 2  # measured bytes of a body that does not move, compressed
-_TORQUE, _EDGE, _MOVED_EDGE = 25, 5, 12  # measured: an arrow of torque; an edge, and more if its bodies move
-_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame, less the arrays that are equal to others
+# measured bytes of an arrow of torque, of an edge, and of an edge whose bodies move
+_TORQUE, _EDGE, _MOVED_EDGE = 25, 5, 12
+_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame, without arrays that equal others
 
 
 class BudgetRecord(Protocol):
     """Bytes of a recording so far."""
 
-    others: float  # of everything except contacts and impacts
-    contacts: float  # of contacts and impacts
-    arrows: float  # of these, for arrows
-    scenes: float  # of these, for frames at impacts
+    others: float  # bytes of everything except contacts and impacts
+    contacts: float  # bytes of contacts and impacts
+    arrows: float  # part of these bytes that arrows take
+    scenes: float  # part of these bytes that frames at impacts take
 
 
 _BUDGET = dtype_of(BudgetRecord)
@@ -165,16 +167,16 @@ _BUDGET = dtype_of(BudgetRecord)
 class Kept(NamedTuple):
     """Numbers of recorded contacts and impacts in each frame of a batch, (frames,)."""
 
-    impacts: IntArray  # impacts since the previous frame, with the largest normal impulses
-    arrows: IntArray  # contacts drawn with arrows
-    scenes: IntArray  # the largest of these impacts, which get a frame of their own
+    impacts: IntArray  # number of impacts since the previous frame, those with the largest normal impulses
+    arrows: IntArray  # number of contacts drawn with arrows
+    scenes: IntArray  # number of the largest impacts, which get a frame of their own
 
 
 class _Counts(NamedTuple):
-    """Numbers in each frame of a batch, (frames,), and the number of all bodies."""
+    """Counts for each frame of a batch, (frames,), and the number of all bodies."""
 
     bodies: int
-    moved: IntArray  # bodies drawn at other positions than in the previous frame
+    moved: IntArray  # number of bodies drawn at other positions than in the previous frame
     edges: IntArray
     contacts: IntArray
     impacts: IntArray
@@ -192,9 +194,9 @@ class ImpactPlan:
 
     All impacts are kept while contacts take at most a fifth of the file. After that, only the largest normal impulses
     are kept, at least one per frame. The choice depends on the frames but not on the batches, so that the same run
-    always has the same rows. Impacts get frames at their exact times from a budget, which the first impacts of a
-    crowded scene use up. After that, much harder impacts still get a frame: at most ten for each decade of impulses,
-    whatever the length of the run.
+    always has the same rows. Frames at the exact times of impacts have a budget, which the first impacts of a crowded
+    scene use up. After that, only much harder impacts get a frame: at most ten for each decade of impulses, whatever
+    the length of the run.
     """
 
     def __init__(
@@ -207,8 +209,8 @@ class ImpactPlan:
         self._everything, self._columns = everything, _BodyColumns(oriented, turned)
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
-        self._hardest = 0.0  # N s, of the impacts with frames
-        self._before: SingleArray | None = None  # (n, 3) m, as drawn in the previous frame
+        self._hardest = 0.0  # N s, largest impulse of an impact with a frame
+        self._before: SingleArray | None = None  # (n, 3) m, positions drawn in the previous frame
 
     @classmethod
     def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:
@@ -220,14 +222,14 @@ class ImpactPlan:
     def choose(
         self, position: FloatArray, edges: IntArray, contacts: IntArray, impacts: IntArray, hardest: FloatArray
     ) -> Kept:
-        """Decide for the next frames.
+        """Choose the impacts and arrows of the next frames.
 
         Positions are (frames, n, 3) m. The numbers of edges, contacts and impacts, and the largest normal impulse of an
         impact (N s), are given for each frame, (frames,).
         """
         if self._before is None:
             self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)
-        if (new := position.shape[1] - len(self._before)) > 0:  # bodies came
+        if (new := position.shape[1] - len(self._before)) > 0:  # bodies entered
             self._before = np.concatenate((self._before, np.full((new, 3), np.nan, dtype=np.float32)))
         moved = np.empty(len(position), dtype=np.int64)
         count_moved(position, self._before, moved)
@@ -258,10 +260,10 @@ def _spend(
     budget: RecordArray[BudgetRecord],
     kept: Kept,
 ) -> None:
-    """Decide for the frames of a batch."""
+    """Choose the impacts and arrows of a batch's frames."""
     used, (bodies, moved, edges, contacts, impacts) = budget[0], counts
     scene = _SCENE + bodies * (TURNED_BYTES if columns.orientation else DRAWN_BYTES)
-    arrow = 2 * _ARROW if columns.torque else _ARROW  # with friction two
+    arrow = 2 * _ARROW if columns.torque else _ARROW  # with friction, a contact has two arrows
     for f in range(len(moved)):
         used.others += _size(bodies, moved[f] / bodies, edges[f], columns)
         most, arrows, room = impacts[f], contacts[f], np.inf
@@ -283,7 +285,7 @@ def _spend(
 
 @inline
 def _size(bodies: int, moved: float, edges: int, columns: _BodyColumns) -> float:
-    """Estimate the other bytes of a frame in the file: bodies, arrows of torques, edges, scalars, checkpoints.
+    """Estimate the bytes of a frame besides contacts: bodies, arrows of torques, edges, scalars, checkpoints.
 
     Unchanged values compress to little; ``moved`` is the fraction of bodies that move.
     """
@@ -299,7 +301,7 @@ def impact_rows(
     header: Header,
     origin: FloatArray,
 ) -> Rows:
-    """Return one row for each of the impacts, (k,) `CONTACT_ROW`, whose numbers in the run, (k,), begin with 1.
+    """Return one row for each impact, (k,) `CONTACT_ROW`; ``numbers``, (k,), count the run's impacts from 1.
 
     ``references`` are the impulse (N s) and the energy (J) in the middle of their scales; ``origin``, (3,) m, is the
     origin of the drawing.

@@ -37,7 +37,7 @@ class Lives:
     def __init__(self, bodies: int) -> None:
         self.change = False  # whether a body has come or gone so far
         self._first, self._last = np.full((2, bodies), -1, dtype=np.int64)
-        self._present: IntArray | None = None  # of the last frame
+        self._present: IntArray | None = None  # bodies that exist in the last frame
 
     def add(self, batch: Sequence[Frame]) -> bool:
         """Add frames; return whether bodies came or went in them."""
@@ -57,7 +57,7 @@ class Lives:
         return changed
 
     def columns(self) -> dict[str, IntArray]:
-        """Return the components that are recorded: the first and the last step of each body.
+        """Return the recorded components: the first and the last step in which each body exists.
 
         For a body that exists in the last frame, the last step is -1; for a body without a frame, the first step is -1.
         """

@@ -17,8 +17,9 @@ from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, RATE, TIME
 from carom.scene.wording import in_series, literal
 
-_CENTRES = dict(zip(("ellipsoids", "points", "mesh"), paths.CENTRES, strict=True))  # by the shape of drawn bodies
-_ARROWS = {  # by entity: what its arrows show, and the unit of their magnitudes
+# how centres are stored, by the shape of drawn bodies
+_CENTRES = dict(zip(("ellipsoids", "points", "mesh"), paths.CENTRES, strict=True))
+_ARROWS = {  # by entity: what its arrows show, and the unit of the arrows' magnitudes
     paths.TORQUE: ("torques of contacts that last", "N m"),
     paths.ANGULAR_ACCELERATION: ("angular accelerations by these torques", "rad/s²"),
     paths.ANGULAR_IMPULSE: ("angular impulses of impacts", "N m s"),
@@ -36,7 +37,7 @@ for chunk in store.stream().filter(content="/energy/total", is_static=False):
 
 
 def about_document(header: Header, clock: TimeScale) -> str:
-    """Return the text at /about, in Markdown: what the file is, and how to read it without carom."""
+    """Return the text at /about, in Markdown: it says what the file is, and how to read it without carom."""
     version = str(header.properties.get("version.carom", ""))
     carom = f"carom {literal(version)}".rstrip()
     source = f"It was recorded from {literal(header.engine)}." if header.engine else "carom computed it."
@@ -142,7 +143,7 @@ def legend_document(header: Header) -> str:
 
 
 def _lengths(header: Header) -> Iterator[str]:
-    """State how long arrows are."""
+    """State the lengths of arrows."""
     if not header.has_torque:
         return
     short, long = (header.units.text(arrow_length(header, path), LENGTH, ".4g") for path in paths.OF_LASTING)
@@ -185,7 +186,7 @@ def _run(header: Header) -> str:
 
 
 def _data(header: Header) -> str:
-    """List the notes on data files (unused or reinterpreted columns); empty without any."""
+    """List the notes on data files (unused or reinterpreted columns); empty if there are none."""
     notes = [literal(note) for notes in header.data_notes for note in notes]
     return "\n".join(["## Data", *(f"- {note}" for note in notes)]) if notes else ""
 
@@ -229,7 +230,7 @@ def _scales(header: Header, clock: TimeScale, origin: FloatArray) -> str:
 
 
 def _drawn(header: Header, si: str) -> str:
-    """Return the unit of recorded numbers, after a space, given its name in SI; empty for pure numbers."""
+    """Return a space and the unit of recorded numbers, given the SI unit; empty for pure numbers."""
     unit = header.units.recorded_unit(si)
     return "" if unit == "1" else f" {unit}"
 
@@ -271,7 +272,7 @@ def _legend(header: Header) -> list[str]:
 
 
 def _beside(header: Header) -> str:
-    """Say where both magnitudes stand."""
+    """Say where a reader finds both magnitudes of an arrow."""
     return (
         ", and selecting an arrow shows both magnitudes" if is_crowded(header) else ", and its number beside that arrow"
     )

@@ -35,8 +35,8 @@ from carom.recording.write.whole_file import name_until_whole
 from carom.state.frame import Frame
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
-# due. `queue.Queue` would wake the reader for every frame, to take the interpreter lock from the physics. Waiting for
-# the lock costs a tenth of the time of a run with 1000 bodies (benchmarks/recording.py).
+# due. `queue.Queue` would wake the reader for every frame, and the reader would take the interpreter lock from the
+# physics. Waiting for the lock costs a tenth of the time of a run with 1000 bodies (benchmarks/recording.py).
 
 _Item = TypeVar("_Item")
 
@@ -50,7 +50,7 @@ class BatchQueue(Generic[_Item]):
         self._seconds = seconds
         self._items: list[_Item] = []
         self._changed = threading.Condition()
-        self._oldest = 0.0  # monotonic time when the first of the items was added
+        self._oldest = 0.0  # monotonic time (s) at which the oldest item was added
         self._closed = False
         self._error: Exception | None = None
 
@@ -70,7 +70,7 @@ class BatchQueue(Generic[_Item]):
             if not self._items:
                 self._oldest = time.monotonic()
             self._items.append(item)
-            # the first item starts the reader's clock, the last completes a batch
+            # the first item of a batch starts the reader's clock, the last item completes the batch
             if len(self._items) in (1, self._batch):
                 self._changed.notify_all()
 
@@ -87,7 +87,7 @@ class BatchQueue(Generic[_Item]):
             self._changed.notify_all()
 
     def take(self, within: float | None = None) -> list[_Item] | None:
-        """Wait for a batch. An empty one means that the queue is closed, None that no item came within a time (s)."""
+        """Wait for a batch. An empty batch means that the queue is closed, None that no item came in time (s)."""
         with self._changed:
             latest = None if within is None else time.monotonic() + within
             while not self._closed and len(self._items) < self._batch:
@@ -107,33 +107,33 @@ class BatchQueue(Generic[_Item]):
 class CheckpointPlan:
     """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
 
-    The first frame always carries one. The frame before a warning also carries one, until these have used another
-    tenth. The choice depends on the frames but not on the batches, so that the same run always has the same
+    The first frame always carries a checkpoint. So does the frame before a warning, until such checkpoints have used
+    another tenth. The choice depends on the frames but not on the batches, so that the same run always has the same
     checkpoints.
     """
 
     _SHARE = 0.1
-    _EDGE_BYTES = 28  # of a contact: two bodies, impulses, mode, colour and width
-    _SCALAR_BYTES = 20 * 24  # of twenty scalars, each with its times
+    _EDGE_BYTES = 28  # bytes of a contact: two bodies, impulses, mode, colour and width
+    _SCALAR_BYTES = 20 * 24  # bytes of twenty scalars, each with its times
     _WARNINGS_AT_LEAST = 4
 
     def __init__(self, every_frame: bool = False, steps: Collection[int] | None = None) -> None:
-        self._every_frame = every_frame  # as for runs that cannot be repeated
-        self._steps = steps  # of the frames with a checkpoint, if they are known
+        self._every_frame = every_frame  # whether every frame carries a checkpoint, as in runs that cannot be repeated
+        self._steps = steps  # steps of the frames with a checkpoint, if these are known in advance
         self._others = 0  # bytes of all frames so far, without checkpoints
-        self._regular = 0  # bytes of checkpoints
+        self._regular = 0  # bytes of checkpoints other than those before warnings
         self._warned = 0
         self._warnings = 0
         self._before: Frame | None = None
         self._last_kept = -1
 
     def chosen(self, batch: Sequence[Frame]) -> list[Frame]:
-        """Return the frames of a batch that carry a checkpoint; the first may be the last frame of the batch before."""
+        """Return the frames of a batch that carry a checkpoint; the first may be the last frame of the last batch."""
         if self._every_frame or self._steps is not None:
             return [frame for frame in batch if self._steps is None or frame.step in self._steps]
         kept: list[Frame] = []
         for frame in batch:
-            # about the bytes of its row without arrows: drawn bodies and contacts, and twenty scalars
+            # approximate bytes of the frame's rows without arrows: drawn bodies and contacts, and twenty scalars
             drawn = len(frame.position) * (DRAWN_BYTES if frame.orientation is None else TURNED_BYTES)
             self._others += drawn + self._EDGE_BYTES * len(frame.contacts) + self._SCALAR_BYTES
             room = self._SHARE * self._others
@@ -145,7 +145,8 @@ class CheckpointPlan:
                     self._warnings, self._warned, self._last_kept = self._warnings + 1, warned, before.step
                     kept.append(before)
             if self._last_kept >= 0 and room < self._regular + BOOKS_BYTES:
-                continue  # as for most frames of few bodies; to count the other bytes, too, takes 15 µs
+                # this ends the choice for most frames of few bodies, since counting the other bytes takes 15 µs
+                continue
             cost = size(frame)
             if self._last_kept < 0 or self._regular + cost <= room:
                 self._regular += cost
@@ -155,10 +156,11 @@ class CheckpointPlan:
 
 
 _BATCH_FRAMES, _QUEUE_FRAMES = 2048, 512
-_SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000  # more of few bodies, since a chunk costs 2.4 kB, as 40 scalars do
-_BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s, the frames that a killed run may lose, and that a live viewer lags
+# largest batch; small frames are joined since a chunk costs 2.4 kB, like 40 scalars
+_SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000
+_BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s of frames that a killed run may lose, and by which a live viewer lags
 _QUEUE_BYTES = 64_000_000
-_BODY_BYTES, _FRAME_BYTES = 300, 2000  # of memory of a waiting frame, at most: its arrays for a body, and the rest
+_BODY_BYTES, _FRAME_BYTES = 300, 2000  # most bytes of memory of a waiting frame: for each body, and for the rest
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
 _LAID_OUT_AFTER = (
     1_000_000  # bytes; smaller or shorter recordings get a blueprint only at the end, since it takes 10 ms
@@ -197,15 +199,16 @@ class FrameRecorder:
         live: str | None = None,
         queue_size: int | None = None,
         continued: Continuation | None = None,
-        checkpoints: Collection[int] | None = None,  # steps that carry one; by default chosen by `CheckpointPlan`
+        # steps that carry a checkpoint; by default `CheckpointPlan` chooses them
+        checkpoints: Collection[int] | None = None,
     ) -> None:
         self.path = Path(path)
         self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
         self._opened = time.monotonic()
         self.header = header
-        self.frames = 0  # sent so far
-        self.bodies = header.bodies  # so far, where bodies come
-        self._extended: dict[int, Header] = {}  # headers with more bodies, by their number
+        self.frames = 0  # number of frames sent so far
+        self.bodies = header.bodies  # number of bodies so far, in runs in which bodies enter
+        self._extended: dict[int, Header] = {}  # headers with more bodies, by the number of bodies
         self._lives = Lives(header.bodies)
         self._continued = continued
         frame_bytes = _BODY_BYTES * header.bodies + _FRAME_BYTES
@@ -221,14 +224,14 @@ class FrameRecorder:
         self._camera_fit: CameraFit | None = None
         self._laid_out = False
         self._added = Additions(viewer_time=viewer_time(header.units, self._clock))
-        self._looked = 0  # frames when the camera last took one into account
+        self._looked = 0  # value of `frames` when the camera last took a frame into account
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None
         self._closed = False
-        self._start: FloatArray | None = None  # (n, 3) m, of the centres
+        self._start: FloatArray | None = None  # (n, 3) m, first positions of the centres
         self._start_known = threading.Event()  # set once `_start` is known, or the recorder is closed
-        self._begun = threading.Event()  # set once static data are in the file, or never will be
+        self._begun = threading.Event()  # set once static data are in the file, or cannot get there
         self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
         self._thread.start()
 
@@ -243,13 +246,13 @@ class FrameRecorder:
         return self._encoder.impacts if self._encoder else None
 
     def begin(self, position: FloatArray) -> None:
-        """Write the static data, given the initial centres (n, 3) in m; otherwise the first `put` does so.
+        """Write the static data, given the initial centres (n, 3) in m; without this call, the first `put` writes them.
 
         A run that fails before its first frame then leaves a readable file.
         """
         self._start = position.copy()
         self._start_known.set()
-        if self._addresses.limited:  # contacts may leave too little address space to encode it
+        if self._addresses.limited:  # frames with many contacts may leave too little address space for the static data
             self._begun.wait()
 
     def store_for(self, bodies: Bodies) -> FrameStore:
@@ -304,7 +307,7 @@ class FrameRecorder:
         except MemoryError:
             remedy = "lower the number of bodies, or raise the limit of the address space (`ulimit -v`)"
             self._fail(RecorderError(f"cannot write more of {self.path}: no memory is left; {remedy}"))
-        except Exception as error:  # the physics thread must learn of any failure
+        except Exception as error:  # any failure must reach the physics thread
             self._fail(RecorderError(f"recording {self.path} failed: {type(error).__name__}: {error}"))
         finally:
             self._begun.set()
@@ -318,14 +321,15 @@ class FrameRecorder:
         del start
         self._begun.set()
         while (batch := self._queue.take(self._stream.patience)) is None or batch:
-            if batch is None:  # during a long step, earlier frames become due
+            if batch is None:  # waiting rows become due during a long step
                 self._stream.flush()
             else:
                 self._write(batch, encoder)
 
     def _write(self, batch: list[Frame], encoder: BatchEncoder) -> None:
         self._addresses.require(batch, self.path)
-        parts: list[list[Frame]] = []  # cut where the frame store wrapped around to its first slot, and bodies came
+        # parts of the batch: cut where the frame store wrapped around to its first slot, and where bodies entered
+        parts: list[list[Frame]] = []
         for frame in batch:
             if parts and frame.slot != 0 and len(frame.position) == len(parts[-1][-1].position):
                 parts[-1].append(frame)
@@ -337,7 +341,7 @@ class FrameRecorder:
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
         known = encoder.arrow_references
-        # sent now, so that the file of a killed run has them
+        # sent now, so that the file of a killed run has the references
         self._stream.send_property("arrows", {name: known[name] for name in known if name not in self._references})
         self._references = set(known)
         if self._lives.add(batch):
@@ -348,11 +352,12 @@ class FrameRecorder:
             self._last_checkpoint = kept[-1].step
         self._look(batch, encoder.origin)
         self._last = batch[-1]
-        self.frames += len(batch)  # also if the disk is full at the flush, since the reserve had space for them
+        # counted even if the disk is full at the flush, since the reserve had space for these frames
+        self.frames += len(batch)
         self._stream.flush()
 
     def _begin(self, position: FloatArray) -> BatchEncoder:
-        """Send all static data and, before the first frame of a resumed run, the frames that it continues."""
+        """Send all static data; for a resumed run, then send the frames that it continues."""
         self._addresses.release()
         continued = self._continued
         if continued is not None:
@@ -367,20 +372,20 @@ class FrameRecorder:
                 self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
             position = self._seen_first(position)
-            there = np.isfinite(position).all(axis=1)  # where bodies come and go, not all of them exist
+            there = np.isfinite(position).all(axis=1)  # if bodies come and go, some do not exist yet
             origin = np.average(position[there], axis=0, weights=self.header.mass[there])
             self._encoder = BatchEncoder(self.header, origin)
         reach = float(np.nanmax(np.abs(position - origin).max(axis=1) + self.header.radius))
         self._camera_fit = CameraFit.of_scene(self.header, origin, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
-        self._stream.flush()  # without a flush, the frames of a killed run could not be read
+        self._stream.flush()  # without this flush, the frames of a killed run could not be read
         if continued is not None:
             self._stream.send_continued(continued)
             self.frames = continued.frames
         return self._encoder
 
     def _seen_first(self, position: FloatArray) -> FloatArray:
-        """Return the first positions that the view should contain: where bodies enter, for those that wait."""
+        """Return the first positions that the view should contain; for waiting bodies, the places where they enter."""
         return position if self.header.entries is None else self.header.entries.position
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
@@ -390,13 +395,13 @@ class FrameRecorder:
         if not self._laid_out and (self._stream.is_live or is_long):
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, added=self._added))
             self._laid_out = True
-        # an update takes a millisecond, for which the physics waits
+        # an update takes a millisecond, and the physics waits for it
         if self._camera_fit.is_few or self.frames >= _LOOK * self._looked:
             self._looked = self.frames
             self._camera_fit.see(batch, origin)
 
     def _fail(self, error: RecordingError) -> None:
-        """Close the file in its present state, and then report the error to the physics."""
+        """Close the file in its present state, then report the error to the physics thread."""
         try:
             self._close(f"{status_of(error)}: {error}", {}, ())
         except Exception as second:  # report the first error
@@ -417,7 +422,7 @@ class FrameRecorder:
                 level = "INFO" if outcome == "completed" else "WARN"
                 for event in (*events, Event(last.step, last.time, level, f"end: {outcome}", "end")):
                     self._stream.send(event_rows([event]), self._clock)
-                if self._camera_fit is not None:  # a layout that shows the whole recording, without empty plots
+                if self._camera_fit is not None:  # the final layout shows the whole recording, without empty plots
                     self._camera_fit.see([last], encoder.origin)
                     layout = blueprint(self.header, self._camera_fit, encoder.curves, added=self._added)
                     self._stream.send_blueprint(layout)
@@ -443,7 +448,7 @@ class FrameRecorder:
 
 
 def _new_file(path: Path) -> Path:
-    """Return the file to write for a path: a new file beside an existing recording; a killed run's is replaced."""
+    """Return the file to write for a path: a new file beside an existing recording; a killed run's file is replaced."""
     try:
         path = path.resolve()
         if not path.exists():

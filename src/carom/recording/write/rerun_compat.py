@@ -1,12 +1,12 @@
 """Rerun's private interfaces, each with a fallback for versions of Rerun that lack it.
 
-No other module of carom uses them. Without these interfaces, recordings are written, read, resumed and shown in the
-same way; only memory, or the layout of a clip, is lost. test_rerun_compat.py tries each interface and each fallback, as
-a canary for new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40 can only record
-and replay.
+No other module of carom uses private interfaces. Without them, recordings are written, read, resumed and shown in the
+same way, but more memory stays allocated, and a clip loses its layout. test_rerun_compat.py tries each interface and
+each fallback, as a canary for new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40
+can only record and replay.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
-test of tests/display/test_web.py tries it in a browser.
+test in tests/display/test_web.py tries this interface in a browser.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _DRIVEN_BY = ("connect", "open", "get_state", "set_time", "take_screenshot")  # 
 def end_earlier_streams() -> None:
     """Free the threads and memory that Rerun keeps for each closed stream until `rr.init` is called.
 
-    If Rerun lacks the private function for this, they stay allocated. A forked child lacks the threads of its parent
-    and cannot end its streams; Rerun raises RuntimeError.
+    If Rerun lacks the private function for this, threads and memory stay allocated. A forked child lacks the threads of
+    its parent and cannot end its streams; Rerun raises RuntimeError.
     """
     with contextlib.suppress(RuntimeError, *_UNKNOWN):
         bindings.flush_and_cleanup_orphaned_recordings()
@@ -52,7 +52,7 @@ def end_earlier_streams() -> None:
 def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:
     """Send a layout like `rr.send_blueprint`, and the transforms of its magnified spaces; close the stream used for it.
 
-    `rr.send_blueprint`, the fallback, leaves that stream open: two threads and 4 MB for each recording of a sweep.
+    `rr.send_blueprint`, the fallback, leaves its stream open: two threads and 4 MB for each recording of a sweep.
     """
     log_spaces(stream, layout)
     if isinstance(layout, StoredLayout) and not hasattr(rrb.Blueprint, "_log_to_stream"):
@@ -82,7 +82,7 @@ def send_to_notebook(viewer: Viewer, rrd: bytes) -> None:
 
 
 def connect_viewer(url: str) -> ViewerClient:
-    """Connect to a viewer, to drive it. Raises RecordingError if Rerun no longer has the interface of 0.41."""
+    """Connect to a viewer, to drive it. Raises RecordingError if Rerun lacks the interface of version 0.41."""
     try:
         from rerun.experimental import ViewerClient  # noqa: PLC0415 - experimental, and so may move
     except ImportError:

@@ -19,10 +19,10 @@ from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.state.frame import Frame
 
 # Columns of a batch: the values of a component, row after row, and their number in each row. The columns below wrap the
-# arrays without a copy. Rerun's own columns copy their values, and compute offsets for every single value before a
-# column is partitioned, which took most of the recorder's time and held the interpreter lock.
+# arrays without a copy. Rerun's own columns copy their values, and compute an offset for every single value before a
+# column is partitioned. That took most of the recorder's time, and held the interpreter lock.
 
-Each = IntArray | int  # values in each row; one number if all rows have the same
+Each = IntArray | int  # number of values in each row; one number if all rows have equally many
 Descriptor = rr.ComponentDescriptor
 
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
@@ -58,7 +58,7 @@ def any_values(values: Mapping[str, Any]) -> rr.AnyValues:
     """Return values under names that Rerun does not know; texts and lists that are empty are left out.
 
     The type of each value is set here. Rerun keeps the first type that a name has in a process and refuses any other,
-    so a sweep over 0.1 and "auto" would fail.
+    so a sweep over the values 0.1 and "auto" would fail.
     """
     given = {name: value for name, value in values.items() if not (isinstance(value, Sized) and len(value) == 0)}
     many = list, tuple, np.ndarray
@@ -97,12 +97,12 @@ NO_STEPS, NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
 
 
 class Index(NamedTuple):
-    """Positions of rows on the timelines, shared by the entities of a batch."""
+    """Positions of rows on the timelines; the entities of a batch share an index."""
 
-    steps: IntArray  # empty for rows within a step, and for rows on the timeline of impacts only
+    steps: IntArray  # steps of the rows; empty for rows within a step, and for rows on the timeline of impacts only
     times: FloatArray  # s
-    impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
-    # s, for rows within a step: times of the next frames; each row must lie at least a nanosecond before its frame
+    impacts: IntArray = NO_STEPS  # numbers of impacts, if the rows are on the timeline of impacts
+    # s, times of the next frames, for rows within a step; each row must lie at least a nanosecond before its frame
     ends: FloatArray = NO_TIMES
 
     @classmethod
@@ -123,7 +123,7 @@ def time_columns(
     impacts: Sequence[int] | IntArray = (),
     ends: FloatArray | None = None,
 ) -> list[rr.TimeColumn]:
-    """Return the time columns of a batch: steps, times (s) and numbers of impacts, each if given; see `Index`."""
+    """Return the time columns of a batch: steps, times (s) and numbers of impacts, each if it is given; see `Index`."""
     columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
     if len(times):
         shown = clock.within(np.asarray(times), ends)
@@ -152,7 +152,7 @@ class Rows:
 
     @property
     def compressed_bytes(self) -> int:
-        """The same in a file, in which Rerun compresses the values."""
+        """Bytes that the rows take in a file, in which Rerun compresses the values."""
         size = self._bytes_of_positions
         for column in self.columns:
             for buffer in filter(None, plain(column.as_arrow_array()).buffers()):

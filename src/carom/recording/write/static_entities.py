@@ -24,17 +24,17 @@ from carom.scene.wall_shapes import SIDES, Mesh, shape_called
 
 Static = tuple[str, rr.AsComponents]
 
-_THICKNESS = {  # of arrows, in median body radii; of two parallel ones, the shorter is thicker
+_THICKNESS = {  # radii of arrows, in median body radii; of two parallel arrows, the shorter is thicker
     **dict.fromkeys((paths.TORQUE, paths.ANGULAR_IMPULSE), 0.16),
     **dict.fromkeys((paths.ANGULAR_ACCELERATION, paths.SPIN_CHANGE), 0.07),
     **dict.fromkeys((paths.FORCE_NORMAL, paths.FORCE_FRICTION), 0.05),
 }
 _EDGE_POINTS = 2.5  # width of a contact's line, in screen points
-_TRANSLUCENT = 0x8A93A624  # walls in front of bodies
-_POINT = 1e-9  # of the extent of a wall; a shorter border is a point, such as a pole
-_SECTORS, _SHADE = 16, 0x505050FF  # sectors and colour of their shade, on walls that rotate
+_TRANSLUCENT = 0x8A93A624  # colour of walls in front of bodies
+_POINT = 1e-9  # fraction of a wall's extent; a shorter border is a point, such as a pole
+_SECTORS, _SHADE = 16, 0x505050FF  # number of sectors and colour of shaded ones, on walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
-_MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to look round
+_MESH_RINGS = 8  # rings from pole to pole; enough for one sphere among thousands to look round
 
 
 def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:
@@ -128,7 +128,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def _rims(mesh: Mesh) -> FloatArray:
-    """Return the lines (k, 2, 3) m at the borders of a surface, which make a cup out of a translucent sheet."""
+    """Return the lines at the borders of a surface, (k, 2, 3) m; they make a translucent sheet look like a cup."""
     a, b, c = mesh.triangles.T
     edges, triangles = np.unique(
         np.sort(np.concatenate([np.stack(ends, axis=1) for ends in ((a, b), (b, c), (c, a))]), axis=1),
@@ -141,7 +141,7 @@ def _rims(mesh: Mesh) -> FloatArray:
 
 
 def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
-    """Draw a wall by itself; darker sectors show the rotation of a wall that rotates."""
+    """Draw a wall by itself; if it rotates, darker sectors show the rotation."""
     motion = header.motions.get(path)
     sector = np.arange(len(mesh.corners)) % SIDES * _SECTORS // SIDES
     shades = np.where(sector % 2 == 0, np.uint32(palette.WHITE), np.uint32(_SHADE))

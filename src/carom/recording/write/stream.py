@@ -24,9 +24,9 @@ from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks
 from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of, time_columns
 from carom.recording.write.static_entities import identity, statics
 
-# A second stream, to a running viewer. The viewer may close at any time; the recording continues.
+# A second stream leads to a running viewer. The viewer may close at any time; the recording continues.
 
-_PROBE = 2.0  # s
+_PROBE = 2.0  # s, time limit of a first connection
 _PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts as hung
 
 
@@ -38,7 +38,7 @@ class LiveView:
         if not separator or not port.isdigit():
             raise RecordingError(f"a live viewer's address is HOST:PORT, for example 127.0.0.1:9876, not {address!r}")
         host = host or "127.0.0.1"
-        try:  # without a listener, a sink would block for seconds, now and at exit
+        try:  # without a listener, a sink would block for seconds, both now and at exit
             socket.create_connection((host, int(port)), timeout=_PROBE).close()
         except OSError as error:
             raise RecordingError(
@@ -48,7 +48,7 @@ class LiveView:
         self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{int(port)}/proxy"))
 
     def streams(self) -> tuple[rr.RecordingStream, ...]:
-        """Return the stream to send to, or none once the viewer has closed."""
+        """Return the viewer's stream in a list, which is empty once the viewer has closed."""
         return () if self._stream is None else (self._stream,)
 
     def flush(self) -> None:
@@ -82,12 +82,12 @@ _BODY_BYTES, _FRAME_BYTES = 40, 500  # bytes of a frame: for each body with its 
 # therefore joins batches, so that their number grows logarithmically with time and size: 28 800 batches make a footer
 # of 2 GB, the largest readable one.
 PROMPT_BATCHES = 100  # first batches, which are written without joining
-OF_TIME = 0.01  # largest fraction of its time that a killed run may lose
-OF_SIZE = 0.004  # largest fraction of the recorded bytes that it may lose
-JOINED_BYTES = 64_000_000  # the largest joined batch, for recordings above 16 GB; 28 800 of them are 1.8 TB
-_ENCODED = 1.3  # bytes in the file per byte of data, at most
+OF_TIME = 0.01  # largest fraction of its run time that a killed run may lose
+OF_SIZE = 0.004  # largest fraction of its recorded bytes that a killed run may lose
+JOINED_BYTES = 64_000_000  # largest joined batch, for recordings above 16 GB; 28 800 such batches are 1.8 TB
+_ENCODED = 1.3  # most bytes in the file per byte of data
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
-_CONTINUED_BYTES = 16_000_000  # of continued frames that wait in Rerun's encoder
+_CONTINUED_BYTES = 16_000_000  # most bytes of continued frames that wait in Rerun's encoder
 _FOOTER_BYTES = 120  # bytes of the footer for each message; 50 were measured
 
 
@@ -113,7 +113,7 @@ class Stream:
         self._opened = self._written = monotonic()
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
-        # for the current batch when the disk fills up, for the last checkpoint, and for the end of the file
+        # reserve for the current batch when the disk fills up, for the last checkpoint, and for the end of the file
         self._reserve = int(_ENCODED * batch_bytes) + checkpoint_columns.largest_size(header) + _ENDING
         rr.set_strict_mode(True)  # otherwise bad data would only cause a warning, and the row would be lost
         self._sink = DurableSink(file or path, self._reserve)
@@ -139,7 +139,7 @@ class Stream:
             self._send(rows, clock, self._live.streams())
 
     def _send(self, rows: Rows, clock: TimeScale, streams: Iterable[rr.RecordingStream]) -> None:
-        if (index := rows.index) is not self._indexed:  # most entities of a batch share it
+        if (index := rows.index) is not self._indexed:  # most entities of a batch share an index
             self._indexed, self._index = index, time_columns(clock, *index)
         for stream in streams:
             stream.send_columns(rows.path, self._index, rows.columns)
@@ -154,7 +154,7 @@ class Stream:
 
     @property
     def _largest(self) -> int:
-        """Bytes of rows that may wait."""
+        """Most bytes of rows that may wait."""
         return max(BATCH_BYTES, min(JOINED_BYTES, int(OF_SIZE * self.payload_bytes)))
 
     def _send_waiting(self) -> None:
@@ -191,7 +191,7 @@ class Stream:
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
 
     def send_bodies(self, header: Header, clock: TimeScale, origin: FloatArray, lives: Lives) -> None:
-        """Send the static data of all bodies so far, where bodies come and go; they replace the earlier data."""
+        """Send the static data of all bodies so far, if bodies come and go; they replace earlier static data."""
         self.send_property("carom", {"bodies": header.bodies})
         if header.drawn_as:
             self.send_property("carom", {"drawn_as": header.drawn_as})
@@ -208,7 +208,7 @@ class Stream:
                 stream.send_property(name, any_values(values))
 
     def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
-        """Send a layout; the file opens with the last one sent."""
+        """Send a layout; the file opens with the last layout sent."""
         for stream in self._streams():
             send_layout(stream, self._application, layout)
 
@@ -234,7 +234,7 @@ class Stream:
         """Write the waiting rows and the footer, and close the file; raises if it cannot be written."""
         self._send_waiting()
         self._stream.disconnect()
-        del self._stream  # here, and not in the main thread: its destructor would drop an interrupt
+        del self._stream  # deleted here, because in the main thread the stream's destructor would drop an interrupt
         self._sink.close()
         if self._live is not None:
             self._live.close()

@@ -1,8 +1,8 @@
 """Where planes and walls that move are: a transform for each of them, at every frame and at impacts.
 
-A drawn plane is infinite, so a displacement along itself shows nothing. A belt that runs for ever would leave the view.
-A plane with a constant velocity is therefore drawn with the component along its normal only; oscillations are drawn
-whole.
+A plane is drawn as if it were infinite, so a displacement along itself shows nothing, and a conveyor belt that runs for
+ever would leave the view. A plane with a constant velocity is therefore displaced only along its normal; oscillations
+are drawn in full.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ class MovingWall:
     """A plane or a wall that moves."""
 
     motion: WallMotion
-    normal: FloatArray | None = None  # (3,) of a plane
-    axis: tuple[FloatArray, FloatArray] | None = None  # of a wall that rotates: a point (3,) m, and the direction (3,)
+    normal: FloatArray | None = None  # (3,) normal, for a plane
+    # axis of a wall that rotates: a point (3,) m, and the direction (3,)
+    axis: tuple[FloatArray, FloatArray] | None = None
 
     def turns(self, time: FloatArray) -> FloatArray:
-        """Return its orientations at some times (k,) s, (k, 4)."""
+        """Return the wall's orientations, (k, 4), at some times, (k,) s."""
         assert self.axis is not None
         half = np.fmod(self.motion.rotation * time / (4.0 * np.pi), 1.0)
         cosine, sine = cosine_and_sine(360.0 * half)
@@ -76,6 +77,6 @@ def wall_rows(walls: Mapping[str, MovingWall], index: Index, origin: FloatArray)
             point = wall.axis[0] - origin
             vector, scalar = turns[:, :3], turns[:, 3:]
             twice = 2.0 * np.cross(vector, np.broadcast_to(point, vector.shape))
-            shift = shift - scalar * twice - np.cross(vector, twice)  # c - R c, about a point c
+            shift = shift - scalar * twice - np.cross(vector, twice)  # shift of a rotation R about a point c: c - R c
             columns.append(vector_column(rr.Transform3D.descriptor_quaternion(), single(turns)))
         yield Rows(path, index, [vector_column(rr.Transform3D.descriptor_translation(), single(shift)), *columns])

@@ -31,20 +31,20 @@ def refuse_name(path: Path) -> None:
     """Raise RecordingError for a name that the viewer would not recognise as a recording."""
     if path.suffix == ".rrd":
         return
-    with contextlib.suppress(OSError):  # folders and devices are refused where they are opened
+    with contextlib.suppress(OSError):  # folders and devices are refused when they are opened
         if path.exists() and not path.is_file():
             return
     raise RecordingError(f"cannot write {_short(path)}: a recording is an .rrd file")
 
 
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
-    """Raise RecordingError if an output is its own source, ``what`` in a word, even where files may be replaced."""
+    """Raise RecordingError if an output is its own source, a ``what``, even if files may be replaced."""
     if path.exists() and source.exists() and path.samefile(source):
         raise RecordingError(f"{path} is the {what} itself; choose another file with -o")
 
 
 def refuse_scene_output(path: Path, source: str, force: bool) -> None:
-    """Raise RecordingError, with the remedy, for an unsuitable path of a scene that is made from another."""
+    """Raise RecordingError, with the remedy, for an unsuitable path of a scene that is made from another scene."""
     if path.suffix != ".toml" and not path.is_dir():
         raise RecordingError(f"cannot write {_short(path)}: a scene is a .toml file")
     refuse_itself(path, Path(source), "scene or recording")
@@ -75,10 +75,10 @@ def is_link_of_another(path: Path) -> bool:
 
 @contextlib.contextmanager
 def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
-    """Check a path with `refuse_output`, and claim it. Raises RecordingError also if another process writes it."""
+    """Check a path with `refuse_output`, and claim it. Raises RecordingError also if another process writes there."""
     refuse_output(path, force)
     with Claim(path) as claim:
-        refuse_output(path, force)  # another process may have written it meanwhile
+        refuse_output(path, force)  # another process may have written the file meanwhile
         yield claim
 
 
@@ -110,8 +110,9 @@ class Claim:
     """Keeps other carom processes from writing a path, until it is released or the process ends.
 
     The lock is on a file beside the output, ``.NAME.lock``, because the output itself may be replaced while it is
-    claimed. A killed process leaves that file, without its lock. File systems without locks, such as some network ones,
-    do not refuse the second writer. Raises RecordingError if another process writes the path, or it cannot be written.
+    claimed. A killed process leaves that file, without its lock. File systems without locks, such as some network file
+    systems, do not refuse the second writer. Raises RecordingError if another process writes the path, or if the path
+    cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -185,10 +186,10 @@ def killed_run_of(path: Path) -> Path | None:
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a new path with the same suffix; its file is renamed to this one on success and removed on failure.
+    """Yield a new path with the same suffix; on success its file gets the name ``path``, on failure it is removed.
 
-    In a folder that other users can write to, none of their links is followed. Nobody can predict the name; where
-    others could replace the file, it is written in the private folder instead.
+    In a folder that other users can write to, no link of theirs is followed. Nobody can predict the new name. If others
+    could replace the file, it is written in the private folder instead.
     """
     with new_name(path, path.suffix) as part, contextlib.ExitStack() as stack:
         if is_fixed(path):
