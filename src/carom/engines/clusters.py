@@ -30,7 +30,7 @@ class Clusters:
 
 
 def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
-    """Divide the bodies into clusters; if ``whole``, make one cluster of all, as for bodies that attract each other."""
+    """Divide the bodies into clusters; if ``whole``, make one cluster of all bodies, as for mutual attraction."""
     n = len(setup)
     anchored = np.zeros(n, bool)
     i, j = near.pairs.T

@@ -1,9 +1,9 @@
 """The spins that contacts change, compared over a whole run with the impulses of these contacts.
 
 A contact of spheres changes a spin by r n × J / I. Engines differ in the normal and in the arm that they use, and a
-resistance to rolling adds a torque. At the end of a run, it is known which normal and arm explain most torques of this
-engine, and how well. A contact whose torque is far from this explanation breaks the law. All contacts of an engine
-break the law if together they show another moment of inertia, or spins in the bodies' frames.
+resistance to rolling adds a torque. At the end of a run, the normal and the arm that explain most torques of the engine
+are known, and how well they do. A contact whose torque is far from this explanation breaks the law. All contacts of an
+engine break the law if together they show another moment of inertia, or show spins that are in the bodies' frames.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from carom.engines.faults import SPIN, Broken, BrokenThen
 FEWEST = 8  # fewest torques that show an engine's habit
 RUBBED = 0.05  # smallest compared torque, divided by the impulse times its arm
 CLEAR = 20.0  # smallest clear torque, in multiples of the noise of an impulse
-MOSTLY = 0.75  # fraction of an engine's contacts that must agree; deviations of the others may be faults
+MOSTLY = 0.75  # fraction of an engine's contacts that must agree; the other contacts may show faults
 # Smallest deviation of a fault, in multiples of the deviation of most contacts: at PyBullet's planes, impulses deviate
 # by as much as the coefficients.
 SPREADS = 6.0
 OFF = 0.05  # smallest deviation of a fault, divided by the torque
-SURELY = 0.01  # the same limit where another frame or inertia explains the torques of the whole run
-EXACT = 0.02  # largest deviation of most torques, relative, if single torques are judged; Box3D's is 0.08
-BETTER = 4.0  # factor by which another frame or inertia must explain the torques better
+# smallest deviation of a fault, divided by the torque, if another frame or inertia explains the whole run
+SURELY = 0.01
+# single torques are judged if the relative deviation of most torques is at most this; with Box3D it is 0.08
+EXACT = 0.02
+BETTER = 4.0  # factor by which another frame or inertia must reduce the deviations
 MOST_SAMPLES = 100_000  # torques kept for comparison
 
 
@@ -38,9 +40,9 @@ class ContactTorque:
     step: int
     time: float  # s
     body: int
-    change: FloatArray  # (3,) N m s, I Δω
-    turned: FloatArray | None  # (3,) N m s, I Δω if spins are in body frames; None where orientations are unknown
-    ways: FloatArray  # (w, 3) N m s, with each normal and each arm
+    change: FloatArray  # (3,) N m s, change of the angular momentum, I Δω
+    turned: FloatArray | None  # (3,) N m s, I Δω if spins are in body frames; None if orientations are unknown
+    ways: FloatArray  # (w, 3) N m s, torques by impulses with each normal and each arm
     rolls: bool  # whether a resistance to rolling could explain the difference
 
 
@@ -51,7 +53,7 @@ class ContactTorques:
     samples: list[ContactTorque] = field(default_factory=list)
 
     def add(self, sample: ContactTorque, largest: float, noise: float) -> None:
-        """Keep a torque that is clear of noise, N m s, and not small beside the largest possible for its impulses."""
+        """Keep a torque that exceeds the noise (N m s), and is not small beside the largest that its impulses allow."""
         size = float(lengths(sample.ways).min())
         if size > max(RUBBED * largest, CLEAR * noise) and len(self.samples) < MOST_SAMPLES:
             self.samples.append(sample)
@@ -87,7 +89,7 @@ class ContactTorques:
     def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[BrokenThen]:
         """Yield the torques whose deviations exceed the allowed one.
 
-        If every torque on a body deviates, a torque that could be a resistance to rolling is taken to be one.
+        If every torque on a body deviates, a torque that may be a resistance to rolling counts as such.
         """
         wrong = off > allowed
         right = {sample.body for sample, each in zip(self.samples, wrong, strict=True) if not each}
@@ -99,7 +101,7 @@ class ContactTorques:
 
 
 def _usual_way(ways: FloatArray, seen: FloatArray) -> tuple[int, FloatArray]:
-    """Return the column of ways (m, w, 3) that explains most torques, and the deviations from it, (m,)."""
+    """Return the column of ``ways`` (m, w, 3) that explains most torques, and the deviations from that column, (m,)."""
     off = np.stack([_off(ways[:, way], seen) for way in range(ways.shape[1])])
     best = int(np.argmin(np.quantile(off, MOSTLY, axis=1)))
     return best, off[best]

@@ -11,10 +11,10 @@ from carom.engines.missed_impacts import SHALLOW
 from carom.engines.source import Setup
 
 TINY = float(np.finfo(np.float64).tiny)  # replaces 0 as a divisor
-# Soft contacts of a body with several others return up to three times the energy that they absorbed in MuJoCo, whose
-# springs have the stiffness of a contact alone; overlaps of soft contacts, of the smaller radius.
+# In MuJoCo, soft contacts of a body with several others return up to three times the energy that they absorbed, because
+# each spring has the stiffness of a contact alone. Overlaps of soft contacts are in smaller radii.
 COUPLED, DEEP = 3.0, 0.05
-# Part of an overlap that engines turn into speed in a step, in order to part the bodies: 0.2 in ODE, Bullet and Box2D.
+# Fraction of an overlap that engines turn into speed in a step to part the bodies: 0.2 in ODE, Bullet and Box2D.
 PARTED = 0.25
 
 
@@ -26,7 +26,7 @@ class ElasticEnergy:
         self.owed = np.zeros(len(setup))  # J, by body
 
     def credit(self, near: Near, clusters: Clusters) -> FloatArray:
-        """Return the factor (count,) on the absorbed energy that each cluster's contacts may return."""
+        """Return the factors by which contacts of each cluster may return more energy than they absorbed, (count,)."""
         plane = near.pairs[:, 1] >= len(self._setup)
         owner = np.where(plane | ~self._setup.fixed[near.pairs[:, 0]], near.pairs[:, 0], near.pairs[:, 1] * ~plane)
         deep = np.bincount(clusters.label[owner], near.gap_now < -DEEP * near.small, clusters.count)
@@ -53,7 +53,7 @@ class ElasticEnergy:
         lifted = setup.mass * np.clip(-(moved @ setup.gravity), 0.0, strength * reach)
         lifted[setup.fixed] = 0.0
         parting = np.maximum(-near.closing_now, 0.0)
-        # the field of a step may act before and after an impact, in which the velocity reverses
+        # the field may act before and after an impact in the step, and the impact reverses the velocity
         speed = np.minimum(PARTED * overlap / dt + strength * dt, parting)
         pushed = np.where(deep > 0.0, speed * (parting - 0.5 * speed) * reduced_masses(self._setup, near), 0.0)
         loose, other = ~setup.fixed[near.pairs[:, 0]], np.minimum(near.pairs[:, 1], n - 1)
@@ -63,8 +63,8 @@ class ElasticEnergy:
     def book(self, clusters: Clusters, near: Near, owed: FloatArray) -> None:
         """Divide the energy absorbed by contacts among each cluster's bodies, like the energy of springs.
 
-        The energy belongs to overlapping bodies, and stays with them when others part. Bodies without contacts have
-        none.
+        The energy belongs to overlapping bodies, and stays with them when others part. Bodies without contacts get none
+        of it.
         """
         label, n = clusters.label, len(self._setup)
         squares = np.maximum(-near.gap_now, SHALLOW * near.small) ** 2 * reduced_masses(self._setup, near)

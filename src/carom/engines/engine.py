@@ -45,7 +45,7 @@ class Problem:
 
     start: InitialBodies
     planes: HalfSpaces
-    between: Coefficients  # of two bodies
+    between: Coefficients  # coefficients of two bodies
     at_planes: list[Coefficients]
     field: FloatArray  # (3,) m/s²
     collides: bool
@@ -53,7 +53,7 @@ class Problem:
 
     @property
     def reach(self) -> float:
-        """Extent (m) that a plane needs if bodies keep the largest speed for the whole run."""
+        """Extent (m) that a plane needs if bodies move at the largest speed for the whole run."""
         start = self.start
         away = np.linalg.norm(start.position - start.position.mean(axis=0), axis=1)
         speed = float(np.linalg.norm(start.velocity, axis=1).max())
@@ -112,8 +112,8 @@ class EngineSimulation:
     """A scene in another engine."""
 
     source: Source
-    step: Callable[[], None]  # advances by one step
-    dt: float  # s; 0 if the engine chooses its steps
+    step: Callable[[], None]  # advances the engine by one step
+    dt: float  # s, length of the step; 0 if the engine chooses its steps
 
 
 class Engine(Protocol):
@@ -121,7 +121,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """The name in ``--engine`` and in names of settings."""
+        """The engine's name in ``--engine`` and in names of settings."""
 
     def ensure_installed(self) -> None:
         """Raise ExperimentError, with the command that installs the engine, if it is missing."""
@@ -130,7 +130,7 @@ class Engine(Protocol):
         """Raise ExperimentError if the engine cannot represent a scene; the message names the missing feature."""
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe each difference of the translated scene in a clause."""
+        """Describe each difference of the translated scene from the original in a clause."""
 
     def settings(self, scene: Scene) -> list[Setting]:
         """Check the installation and the scene; return the settings that are worth comparing."""
@@ -159,14 +159,14 @@ class SteppedEngine(Engine):
 
     name: str
     package: str  # name of the package that is installed and imported
-    differences: tuple[str, ...] = ()  # of every translated scene
+    differences: tuple[str, ...] = ()  # differences of every translated scene from the original
 
     def check(self, scene: Scene) -> None:
         """Raise ExperimentError if the engine cannot represent a scene; nothing is built yet."""
         problem_of(self.name, scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe each difference of the translated scene in a clause."""
+        """Describe each difference of the translated scene from the original in a clause."""
         friction = ["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else []
         return [*self.differences, *friction]
 
@@ -178,7 +178,7 @@ class SteppedEngine(Engine):
             raise ExperimentError(f"--engine {self.name}: {error}") from None
 
     def settings(self, scene: Scene) -> list[Setting]:
-        """Return the scene's own step and a quarter of it."""
+        """Return settings with the scene's own step and with a quarter of it."""
         self.ensure_installed()
         self.check(scene)
         return [self.setting(own_step(scene) / finer, scene.unit_system) for finer in FINER]
@@ -188,7 +188,7 @@ class SteppedEngine(Engine):
         return self.settings(scene)
 
     def setting(self, step: float, units: UnitSystem = SI) -> Setting:
-        """Return the setting of a step in s, named in the units of the scene."""
+        """Return the setting for a step in s, named in the units of the scene."""
         return Setting(f"{self.name}, dt = {units.text(step, TIME, '.4g')}", (f"dt={step!r}",), engine=self.name)
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
@@ -196,7 +196,7 @@ class SteppedEngine(Engine):
         return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Return True."""
+        """Return True: samples are taken at the ends of steps."""
         return True
 
     def run(self, scene: Scene, setting: Setting) -> float:
@@ -216,7 +216,7 @@ def own_step(scene: Scene) -> float:
 
 
 def dt_of(setting: Setting) -> float:
-    """Return the step of a setting in s."""
+    """Return the step (s) of a setting."""
     return float(dict(key.split("=") for key in setting.overrides)["dt"])
 
 
@@ -240,8 +240,8 @@ def engines_called(names: Iterable[str]) -> list[Engine]:
 
 ROUNDING = 1e-9  # fraction of the duration by which the sum of the steps may fall short
 COMPLETED = "completed"
-MOST_SEEN = 20_000  # most steps that are examined where nothing can touch
-MOST_OVERLAP = 0.05  # overlap, in smaller radii, beyond which engines differ
+MOST_SEEN = 20_000  # most steps that are examined if nothing can touch
+MOST_OVERLAP = 0.05  # overlap, in smaller radii, above which engines treat contacts differently
 FRAMES = 600  # frames of a recording, besides the frames that violate a law
 
 
@@ -250,12 +250,12 @@ class Watched:
     """Observations of an engine's run."""
 
     outcome: str  # "completed", or the reason for an early end
-    dt: float  # s, of the steps
+    dt: float  # s, length of the steps
     trajectory: Trajectory
     extremes: Extremes
     faults: list[Fault]  # first fault of each law, in order of time
     counts: dict[str, int]  # number of frames that violate each law
-    broken: list[tuple[float, str]]  # time (s) and law of every such frame
+    broken: list[tuple[float, str]]  # time (s) and violated law of every frame that violates one
 
 
 def watch(
@@ -297,14 +297,14 @@ class _Walk:
 
     def __init__(self, simulation: EngineSimulation, scene: Scene, observer: Observer, times: FloatArray) -> None:
         self.observer = observer
-        self.frame: Frame  # the last one
+        self.frame: Frame  # the last examined frame
         self.recorder: Any = None  # None if the run is not recorded
         self._due = 0.0  # s, time of the next recorded frame
         self._simulation, self._scene, self._times = simulation, scene, times
         self._position: list[FloatArray] = []  # states at the first sample times, interpolated between ends of steps
         self._velocity: list[FloatArray] = []
         self._end = scene.time.duration * (1.0 - ROUNDING)
-        self._met: dict[tuple[int, int], float] = {}  # when two ends first touched, in s
+        self._met: dict[tuple[int, int], float] = {}  # times (s) at which two ends first touched
         self._step = 0
         many = math.ceil(scene.time.duration / simulation.dt / MOST_SEEN) if simulation.dt else 1
         self._stride = 1 if observer.setup.collides else many  # steps from one examined step to the next
@@ -337,7 +337,7 @@ class _Walk:
         """Return the samples, and the extremes so far."""
         extremes, count = self.observer.extremes, len(self._position)
         n, collides = len(self.observer.setup), self.observer.setup.collides
-        # while bodies touch, the work of contacts cannot be separated from errors
+        # as long as bodies touch, the work of contacts cannot be separated from errors
         touched = extremes.total_contacts + extremes.impacts > 0 or self.frame.energy.ledger.restitution != 0.0
         return Trajectory(
             time=self._times[:count],
@@ -368,7 +368,8 @@ class _Walk:
         if fault is not None:
             self.observer.audit.note(fault)
             return fault.text
-        if state.time < self.frame.time:  # the time decreases where an engine restarts, as unstable MuJoCo does
+        # the time decreases when an engine restarts, as MuJoCo does when it becomes unstable
+        if state.time < self.frame.time:
             units = self._scene.unit_system
             back = units.text(state.time, TIME, "g")
             return f"the engine's time decreased from {units.text(self.frame.time, TIME, 'g')} to {back}."
@@ -388,7 +389,7 @@ class _Walk:
 
 
 class InOrder:
-    """A source with the bodies and their names in the order of the scene; ``order`` has their indices, (n,)."""
+    """A source with bodies and names in the order of the scene; ``order`` has the bodies' indices, (n,)."""
 
     def __init__(self, source: Source, order: IntArray, names: Sequence[str]) -> None:
         model = source.model

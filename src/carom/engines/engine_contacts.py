@@ -17,7 +17,7 @@ from carom.state.frame import CollisionGraph, empty_graph
 
 
 def whole_numbers(engine: str, name: str, values: Any) -> IntArray:
-    """Return values as whole numbers. Raises RecordingError if one value has a fraction, which a cast would drop."""
+    """Return values as whole numbers. Raises RecordingError if a value has a fraction that a cast would drop."""
     given = np.asarray(values)
     with np.errstate(invalid="ignore"):
         found = given.astype(np.int64) if given.dtype.kind in "iuf" else np.empty(0, np.int64)
@@ -58,8 +58,8 @@ def checked_contacts(engine: str, contacts: Any, bodies: int, ends: int) -> Reco
 def rows_of_contacts(contacts: Records, step: int, time: float, dt: float) -> Records:
     """Return a row of the contact table for each pair, (k,) `CONTACT_ROW`, sorted by pair.
 
-    Several contacts of a pair become one: their total force at the centre of their normal forces. The impulse is the
-    force times the time (s) since the previous frame.
+    Several contacts of a pair become one contact, with the total force, at the centre of the normal forces. The impulse
+    is the force times the time (s) since the previous frame.
     """
     if len(contacts) == 0:
         return NO_ROWS
@@ -82,7 +82,7 @@ def rows_of_contacts(contacts: Records, step: int, time: float, dt: float) -> Re
     direction = total(normal)
     direction /= np.maximum(np.linalg.norm(direction, axis=1), np.finfo(np.float64).tiny)[:, None]
     one = np.where(size > 0.0, push / np.where(size > 0.0, size, 1.0), direction)
-    one *= np.where(np.einsum("ij,ij->i", one, direction) < 0.0, -1.0, 1.0)[:, None]  # where contacts attract
+    one *= np.where(np.einsum("ij,ij->i", one, direction) < 0.0, -1.0, 1.0)[:, None]  # reversed if contacts attract
     along = np.einsum("ij,ij->i", force, one)
     rows = np.zeros(len(unique), CONTACT_ROW)
     rows["step"], rows["time"] = step, time
@@ -96,7 +96,7 @@ def rows_of_contacts(contacts: Records, step: int, time: float, dt: float) -> Re
 
 
 def rows_of_graph(graph: CollisionGraph, position: FloatArray, radius: FloatArray, step: int, time: float) -> Records:
-    """Return rows without impulses for the edges of a graph, where an engine's contacts are invalid."""
+    """Return rows without impulses for the edges of a graph, used when an engine's contacts are invalid."""
     rows = np.zeros(len(graph), CONTACT_ROW)
     rows["step"], rows["time"], rows["mode"] = step, time, OPEN
     rows["i"], rows["j"] = graph.pairs.T
@@ -118,9 +118,9 @@ class EngineMoment:
     time: float  # s
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    spin: FloatArray  # (n, 3) rad/s, spins; (0, 3) where unknown
-    orientation: FloatArray  # (n, 4) xyzw, orientations; (0, 4) where unknown
-    force: FloatArray  # (n, 3) N, and torques in N m, in the step that ends here; (0, 3) where unknown
+    spin: FloatArray  # (n, 3) rad/s, spins; (0, 3) if unknown
+    orientation: FloatArray  # (n, 4) xyzw, orientations; (0, 4) if unknown
+    force: FloatArray  # (n, 3) N, forces, then torques in N m, in the step that ends at this moment; (0, 3) if unknown
     torque: FloatArray
 
     def kinetic(self, setup: Setup) -> FloatArray:
@@ -136,13 +136,13 @@ class Near:
     """Pairs that may have touched since the previous moment: bodies, and planes from n on."""
 
     pairs: IntArray  # (k, 2) i < j; planes from n on
-    reach: FloatArray  # (k,) m, r_i + r_j
+    reach: FloatArray  # (k,) m, sum of the radii r_i + r_j
     small: FloatArray  # (k,) m, smaller radius of the pair
-    before: FloatArray  # (k, 3) m, from i to j; to a plane, from the centre to the plane
-    now: FloatArray  # (k, 3) m
+    before: FloatArray  # (k, 3) m, earlier vector from i to j; for a plane, from the centre to the plane
+    now: FloatArray  # (k, 3) m, the present vector
     gap_before: FloatArray  # (k,) m, gap between the surfaces; negative where they overlap
     gap_now: FloatArray  # (k,) m
-    normal: FloatArray  # (k, 3) unit vectors from i to j, now
+    normal: FloatArray  # (k, 3) present unit vectors from i to j
     relative_before: FloatArray  # (k, 3) m/s, velocity of j relative to i
     relative_now: FloatArray  # (k, 3) m/s
 
@@ -151,11 +151,11 @@ class Near:
 
     @property
     def closing_now(self) -> FloatArray:
-        """The closing speeds along the present normals, now, (k,) m/s."""
+        """The present closing speeds along the present normals, (k,) m/s."""
         return np.asarray(-np.einsum("ij,ij->i", self.relative_now, self.normal))
 
     def normals_of_touch(self, bodies: int) -> FloatArray:
-        """Return the normals of planes, from number ``bodies`` on, and `directions_of_touch` of bodies, (k, 3)."""
+        """Return the normal for each pair with a plane (numbers from ``bodies`` on), else `directions_of_touch`."""
         plane = self.pairs[:, 1] >= bodies
         return np.where(plane[:, None], self.normal, self.directions_of_touch())
 
@@ -174,7 +174,7 @@ class Near:
         return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
 
     def possible_normals(self, rows: IntArray) -> list[FloatArray]:
-        """Return the normals, (m, 3) each, that an engine may have used for some pairs: at touch, before, and now."""
+        """Return three normals (m, 3) that an engine may have used for some pairs: at touch, before, and now."""
         before = self.before[rows]
         earlier = before / np.maximum(lengths(before), np.finfo(float).tiny)[:, None]
         return [self.directions_of_touch()[rows], earlier, self.normal[rows]]
@@ -200,7 +200,8 @@ class Proximity:
         moved = now.position - before.position
         drift = np.median(moved, axis=0)
         speed = lengths(moved - drift)
-        for velocity in (before.velocity, now.velocity):  # engines may stop a body before it touches another
+        # both velocities count, since engines may stop a body before it touches another
+        for velocity in (before.velocity, now.velocity):
             speed = np.maximum(speed, lengths(velocity - np.median(velocity, axis=0)) * dt)
         parts = [self._bodies(before, now, speed)] if self._grid else []
         parts += [self._plane(k, before, now, speed) for k in range(len(setup.planes))] if setup.collides else []

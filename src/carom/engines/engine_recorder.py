@@ -45,7 +45,7 @@ from carom.scene.wording import Names, told_by
 
 COMPLETED = "completed"
 CONSTANTS = {"mass": MASS, "radius": LENGTH}  # arrays of a model that must not change while bodies lack ids
-LONGEST_TURN = 10.0  # s, the longest wait of a thread for another thread's `frame`, which may never return
+LONGEST_TURN = 10.0  # s, longest wait of a thread while another thread is in `frame`, which may never return
 
 
 class Recorder:
@@ -56,7 +56,7 @@ class Recorder:
 
     After its creation, a recorder never raises an exception into the run that it watches. If something cannot be
     recorded, it adds a note to the recording, to `problems` and, once, to stderr, and the run continues. A state that
-    is not finite, a time that decreased or a full disk ends the recording. A state whose arrays have other shapes is
+    is not finite, a time that decreased or a full disk ends the recording. A state whose arrays have wrong shapes is
     left out.
 
     Parameters
@@ -66,9 +66,9 @@ class Recorder:
     path
         The ``.rrd`` to write.
     last
-        Keep only this number of frames, in memory. They are written when a state is not finite, when the time decreases
-        (as in MuJoCo, which resets itself), when an exception leaves the context, when the program ends before
-        `finish`, and by `write`.
+        Number of last frames that are kept in memory, instead of recording all. They are written when a state is not
+        finite, when the time decreases (as in MuJoCo, which resets itself), when an exception leaves the context, when
+        the program ends before `finish`, and by `write`.
     every
         Record one of this many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
         200 bodies or more.
@@ -77,8 +77,8 @@ class Recorder:
     duration
         s, the duration of the run, needed only above 292 years.
     exact
-        Whether every frame stores the exact state in float64, which cannot be recomputed. Otherwise about one frame in
-        ten does, and the others store positions in float32.
+        Whether every frame stores the exact state in float64, which cannot be recomputed later. Otherwise about one
+        frame in ten stores it, and the others store positions in float32.
     tolerances
         Errors above which the audit reports a fault.
     units
@@ -129,7 +129,7 @@ class Recorder:
         self.path = Path(path)
         refuse_name(self.path)
         with claimed_output(self.path, force):
-            pass  # otherwise the run would be the first to notice a folder that cannot be written
+            pass  # checked now, so that a folder that cannot be written is noticed before the run
         self._source, self._exact, self._force = source, exact, force
         self._read: Callable[[StateMemory], None] = lambda snapshot: snapshot.take(source.state())
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
@@ -137,11 +137,11 @@ class Recorder:
         self._tolerances = tolerances or Tolerances()
         self._calls = 0
         self._time = -np.inf
-        self._ended = ""  # why no more frames are accepted
+        self._ended = ""  # reason why no more frames are accepted; empty while they are
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
         first = source.state()
-        self._model = source.model  # of the first bodies
-        self._setup: Setup | None = None  # the setup of these bodies; None before there are any
+        self._model = source.model  # model of the first bodies
+        self._setup: Setup | None = None  # setup of these bodies; None before the first bodies exist
         self._ids: IntArray | None = None
         self._unrecorded = Unrecorded(self.path)
         if not _is_empty(first):
@@ -149,10 +149,10 @@ class Recorder:
         self._new: Callable[[], StateMemory] = lambda: StateMemory.like(first)
         if isinstance(source, BulkSource):
             self._read, self._new = source.read, source.memory
-        self._free: StateMemory | None = None  # reusable memory
+        self._free: StateMemory | None = None  # memory of a state, ready for the next frame
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
-        self._lock, self._owner = threading.Lock(), 0  # the thread that is recording a frame; 0 for none
+        self._lock, self._owner = threading.Lock(), 0  # number of the thread that is recording a frame; 0 for none
         self.faults: list[Fault] = []
 
     @property
@@ -162,11 +162,11 @@ class Recorder:
 
     @property
     def problems(self) -> list[str]:
-        """Sentences about everything that could not be recorded so far; the recording contains them, too."""
+        """Sentences about everything that could not be recorded so far; the recording also contains them."""
         return list(self._unrecorded.texts)
 
     def frame(self) -> bool:
-        """Record the present state; return whether the recording continues. Raises nothing, see `problems`.
+        """Record the present state; return whether the recording continues. Raises nothing; see `problems`.
 
         Threads take turns. A call from within the source's `state` is refused, since it would record a state twice.
         """
@@ -183,7 +183,7 @@ class Recorder:
 
     @contextmanager
     def _turn(self, thread: int) -> Iterator[None]:
-        """Wait until no other thread uses the recorder, but at most `LONGEST_TURN`: a thread may never end."""
+        """Wait until no other thread uses the recorder, but at most `LONGEST_TURN`, since a thread may never end."""
         taken = self._owner != thread and self._lock.acquire(timeout=LONGEST_TURN)
         before, self._owner = self._owner, thread
         try:
@@ -213,7 +213,7 @@ class Recorder:
             return None
 
     def finish(self, outcome: str = COMPLETED) -> None:
-        """Close the recording, like leaving the context. Raises nothing, see `problems`."""
+        """Close the recording, like leaving the context. Raises nothing; see `problems`."""
         with self._turn(threading.get_ident()):
             expect_finish(self, False)
             sink, self._sink = self._sink, None
@@ -235,7 +235,7 @@ class Recorder:
             self.finish_early(f"failed: {type(error).__name__}: {told_by(error)}")
 
     def finish_early(self, outcome: str) -> None:
-        """Close the recording of a run that did not end normally: frames in memory are written, too."""
+        """Close the recording of a run that did not end normally: frames in memory are also written."""
         if self._ring and not self._ended:
             self.write(outcome=outcome)
         self.finish(outcome)
@@ -246,7 +246,7 @@ class Recorder:
             self._stepped()
         if self._ended or call % self.every:
             return
-        # takes memory for a copy of the state, and waits for the writer if all of it is in use
+        # get memory for a copy of the state, and wait for the writer if all memory is in use
         snapshot, self._free = self._free, None
         if snapshot is None:
             snapshot = self._new() if self._sink is None else self._sink.spare()
@@ -254,13 +254,14 @@ class Recorder:
             self._read(snapshot)
             recorded = self._keep(call, snapshot)
         except BaseException:
-            self._free = snapshot  # otherwise the writer's memory would run out, and the next call would wait forever
+            # return the memory; otherwise the writer would run out of it, and the next call would wait forever
+            self._free = snapshot
             raise
         if not recorded:
             self._free = snapshot
 
     def _keep(self, call: int, snapshot: StateMemory) -> bool:
-        """Check a snapshot, and pass it to the writer or into the ring; return whether that was done."""
+        """Check a snapshot, and pass it to the writer or into the ring; return whether it was passed on."""
         state = snapshot.state
         if self._setup is None:
             if _is_empty(state):
@@ -324,7 +325,7 @@ class Recorder:
                 text = f"{setup.engine}: the {name} of {called} changed from {before} to {after}."
                 keeps = f"The recording keeps the first {name}; if bodies come and go, give ids with each state."
                 self._unrecorded.add(call, self._time, text, keeps)
-                self._constants[name] = now.astype(np.float64)  # a copy, so that each change is noted once
+                self._constants[name] = now.astype(np.float64)  # keep a copy, so that each change is noted once
 
     def _begin_with(self, first: State) -> None:
         """Check the model and the first state with bodies, before anything is allocated or written."""
@@ -407,7 +408,7 @@ class Recorder:
 
 
 def _is_empty(state: State) -> bool:
-    """Return whether a state has no bodies, in a run in which bodies come and go."""
+    """Return whether a state has no bodies, which is allowed if bodies come and go."""
     return isinstance(state, State) and state.ids is not None and np.size(state.ids) == 0
 
 
@@ -440,7 +441,7 @@ def expect_finish(recorder: Recorder, expected: bool) -> None:
 
 
 def _finish_unfinished() -> None:
-    """Wait for the end of all threads other than daemons, and finish the remaining recorders."""
+    """Wait until all threads except daemons have ended, and finish the remaining recorders."""
     threading.main_thread().join()
     this = threading.current_thread()
     while others := [t for t in threading.enumerate() if t is not this and not t.daemon and t.is_alive()]:

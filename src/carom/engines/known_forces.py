@@ -11,12 +11,12 @@ from carom.engines.elastic_energy import TINY
 from carom.engines.engine_contacts import EngineMoment, Near, lengths
 from carom.engines.source import Setup
 
-ALIKE = 0.02  # largest relative deviation of a free body's rate from the common law
+ALIKE = 0.02  # largest relative deviation of a free body's damping rate from the common law
 SEVERAL = 6  # fewest losses, over several bodies or frames, that show a law
-RECENT = 60  # losses that are compared
-LEAST = 1e-6  # smallest measurable loss of speed in a frame, relative; smaller ones are rounding
+RECENT = 60  # number of recent losses that are compared
+LEAST = 1e-6  # smallest measurable loss of speed in a frame, relative to the speed; smaller losses are rounding
 MOVING = 0.05  # speed, relative to the largest, below which no rate is measured
-BESIDE = 0.05  # largest part of a velocity's change across the velocity; damping acts along it
+BESIDE = 0.05  # largest part of a velocity change that may be across the velocity; damping acts along it
 
 
 @dataclass(slots=True)
@@ -28,8 +28,8 @@ class CommonDamping:
 
     rate: float = 0.0  # 1/s
     by_speed: float = 0.0  # damping rate per speed in 1/m, or 1/rad for spins
-    told: tuple[float, float] = (0.0, 0.0)  # the last law that was found
-    losses: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # speeds and rates of the last free bodies
+    told: tuple[float, float] = (0.0, 0.0)  # rate and `by_speed` of the last law that was reported
+    losses: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # speeds and rates in the most recent losses
 
     def at(self, speed: FloatArray) -> FloatArray:
         """Return the rates (n, 1) in 1/s at speeds (n,)."""
@@ -44,7 +44,7 @@ class CommonDamping:
         speed, change, start = speed[chosen], change[chosen], start[chosen]
         rate = -np.einsum("ij,ij->i", change, start) / np.maximum(speed**2 * dt, TINY)
         beside = lengths(change + (rate * dt)[:, None] * start) > BESIDE * lengths(change)
-        if beside.any() or not (rate * dt > LEAST).all():  # another force, or none
+        if beside.any() or not (rate * dt > LEAST).all():  # a force other than damping acts, or no force
             self.losses = self.losses[:0]
             if float(np.median(np.abs(rate))) * dt <= LEAST:
                 self.rate = self.by_speed = 0.0
@@ -69,11 +69,11 @@ class KnownForces:
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self.measured = CommonDamping(), CommonDamping()  # the common damping of velocities, and that of spins
-        self.work = 0.0  # J, on judged bodies
+        self.measured = CommonDamping(), CommonDamping()  # the common dampings of velocities and of spins
+        self.work = 0.0  # J, work on judged bodies
 
     def applied(self, before: EngineMoment, now: EngineMoment, near: Near) -> EngineMoment:
-        """Return the earlier moment, with the velocities that these forces would have given its bodies by now."""
+        """Return the earlier moment, with velocities as if the known forces had acted on its bodies until now."""
         setup, dt = self._setup, now.time - before.time
         if not dt > 0.0:
             return before

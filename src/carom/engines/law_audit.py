@@ -1,7 +1,7 @@
 """The audit of another engine's run: violated laws and their times, judged from states alone.
 
 Between two states, the bodies are divided into clusters that cannot have touched each other. In a cluster that touched
-neither a plane nor anything fixed,
+neither a plane nor anything fixed, the equations
 
     Σ m Δv = Σ m g Δt        momentum
     Δ Σ (m (x - X) × (v - V) + I ω) = 0        angular momentum about the centre of mass X
@@ -41,25 +41,25 @@ class AuditFinding:
     """Results of the audit of one frame."""
 
     faults: list[Fault] = field(default_factory=list)
-    taken: float = 0.0  # J, absorbed by contacts; negative where contacts returned energy
+    taken: float = 0.0  # J, energy absorbed by contacts; negative if contacts returned energy
     forced: float = 0.0  # J, work of damping and of the external forces given to the engine
-    unjudged: float = 0.0  # J, lost by clusters with unjudged bodies
+    unjudged: float = 0.0  # J, energy lost by clusters with unjudged bodies
     struck: float = 0.0  # J, Σ ½ μ v_n² over contacts whose velocity reversed
-    impacts: int = 0  # number of these contacts
-    hardest: float = 0.0  # J, largest ½ μ v_n² of one of these contacts
+    impacts: int = 0  # number of contacts whose velocity reversed
+    hardest: float = 0.0  # J, largest ½ μ v_n² of a contact whose velocity reversed
     hardest_pair: tuple[int, int] = (0, 0)
-    deepest: float = 0.0  # deepest overlap over the smaller radius, whether or not the engine reports a contact
+    deepest: float = 0.0  # deepest overlap relative to the smaller radius, whether or not the engine reports a contact
     deepest_pair: tuple[int, int] = (0, 0)
 
 
 STILL = 0.05  # fraction of the typical speed below which touching bodies may rest in a balance of forces
 AT_LEAST = 1e-2  # smallest change, relative to a typical body's momentum or energy, that is not noise
-OFF_AXIS = 0.3  # largest distance of a contact's impulse from the normal, over the arm
+OFF_AXIS = 0.3  # largest distance of a contact's impulse from the normal, relative to the arm
 UNSEEN = 4 * float(np.finfo(np.float64).eps)  # relative change of a position that shows motion between frames
-TURNED = 0.05  # relative error of a rotation in a frame, which engines integrate to first order
+TURNED = 0.05  # relative error of a rotation in a frame, since engines integrate rotations to first order
 ROUNDED = 1e-5  # rad, rounding of orientations in single precision
 MOST_TURN = 0.5  # rad; engines limit or approximate larger rotations in one step
-MOST_NAMED = 8  # bodies in a sentence
+MOST_NAMED = 8  # most bodies that a sentence names
 TOLD = 3  # most events that are reported for each law
 
 
@@ -82,7 +82,7 @@ class LawAudit:
         self._laws = ContactLaws(setup, tolerances.restitution, tolerances.friction)
         self._elastic = ElasticEnergy(setup)
         self._forces = KnownForces(setup)
-        self._typical = 0.0  # m/s
+        self._typical = 0.0  # m/s, typical speed of the bodies
         self._missed = MissedImpacts(setup)
         self._strikes = Strikes()
         self._parted = 0.0  # largest fraction of a cluster's energy gained in a frame by pushing overlaps apart
@@ -90,8 +90,8 @@ class LawAudit:
         self._allowed = 0.0  # J, allowance for first-order steps in the field, unseen motion, and overlaps pushed apart
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
-        self.worst: dict[str, float] = {}  # largest violation over tolerance of each law
-        self.broken: list[tuple[float, str]] = []  # s, time and law of each of these frames
+        self.worst: dict[str, float] = {}  # largest ratio of violation to tolerance for each law
+        self.broken: list[tuple[float, str]] = []  # time (s) and violated law of each such frame
 
     def see(
         self,
@@ -104,10 +104,9 @@ class LawAudit:
     ) -> AuditFinding:
         """Judge a moment, given the pairs that may have touched since the previous frame.
 
-        The engine's own contacts of the last step, (m,) `CONTACT`, are judged, too, if they have forces.
+        The engine's own contacts of the last step, (m,) `CONTACT`, are also judged if they have forces.
 
-        Potential energies (J) are given at both moments, for the gravity of the bodies themselves; None without
-        gravity.
+        ``potentials`` are the energies (J) of the bodies' mutual gravity at both moments; None without gravity.
         """
         found = AuditFinding()
         anchored = len(self._setup.planes) > 0 or bool(self._setup.fixed.any())
@@ -143,9 +142,10 @@ class LawAudit:
         return fault if self.note(fault) else None
 
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
-        """Yield the first fault of each law and the number of frames with one, under the dotted keys of `outcome`.
+        """Yield the first fault of each law and the number of frames that break it, under the dotted keys of `outcome`.
 
-        The number of judged bodies, unless all were judged, and the energy added by pushing overlaps apart come first.
+        These are preceded by the number of judged bodies, unless all were judged, and by the energy added by pushing
+        overlaps apart.
         """
         self.conclude()
         if not self._setup.judged.all():
@@ -208,7 +208,7 @@ class LawAudit:
         for end in near.pairs[bodies].T:
             np.maximum.at(deep, end, -np.minimum(near.gap_before, near.gap_now)[bodies])
         change = l1 - l0
-        # engines with several steps in a frame keep contact points fixed while bodies move and turn
+        # engines that make several steps in a frame keep contact points fixed while bodies move and turn
         ways = [cross(now.position - before.position - bulk * dt, kicks)]
         if len(now.spin):
             arms = self._setup.radius * dt
@@ -296,7 +296,7 @@ class LawAudit:
         mass = clusters.sum(setup.mass)
         floor = AT_LEAST * mass * (self._typical**2 + strength * clusters.sum(setup.mass * setup.radius) / mass)
         scale = own + floor
-        # the energy error of a first-order step in a uniform field, and that of unseen motion
+        # the energy errors of a first-order step in a uniform field, and of unseen motion
         rounding = mass * (strength * strength * dt * dt + self._unseen**2)
         self._allowed += float(rounding.sum())
         owed = clusters.sum(self._elastic.owed)
@@ -365,14 +365,14 @@ class LawAudit:
             ends = tuple(self._ends[list(inside.ends)].tolist())
             yield Fault("overlap", inside.step, inside.time, inside.depth, text, ends, inside.depth)
         still, normal = still_speed(setup, self._typical, dt), near.normals_of_touch(n)
-        # a plane does not fall, so speed that the field adds towards a plane is not due to an impulse
+        # a plane does not fall, so the speed that the field adds towards a plane is not due to an impulse
         push = np.where(near.pairs[:, 1] >= n, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
         speeds = closing, after
         yield from map(self._missed_impact, self._missed.see((*place, dt), near, known, speeds, still))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
-        met &= near.gap_before <= closing * dt  # otherwise another body reversed their velocity
+        met &= near.gap_before <= closing * dt  # otherwise another body reversed the pair's velocity
         met &= known & (closing > still)
         self._impacts(near, self._strikes.see(near, self._ends, met, (closing, after), normal), found)
         yield from self._worst_of_each(place, self._laws.see(place[0], before, now, near, closing, still))
@@ -416,7 +416,7 @@ class LawAudit:
             self.note(self._fault((step, time), broken))
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
-        """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
+        """Book the impacts, given the closing speeds of pairs in m/s, which are 0 for other pairs."""
         struck = 0.5 * closing**2 * reduced_masses(self._setup, near)
         found.struck, found.impacts = float(struck.sum()), int(np.count_nonzero(struck))
         hardest = int(np.argmax(struck))
@@ -434,5 +434,5 @@ class LawAudit:
 
 
 def still_speed(setup: Setup, typical: float, dt: float) -> float:
-    """Return the speed (m/s) up to which contacts may rest in a frame of dt s, given a typical speed in m/s."""
+    """Return the largest speed (m/s) of contacts at rest in a frame of dt s, given a typical speed in m/s."""
     return STILL * typical + 2.0 * setup.field_strength * dt

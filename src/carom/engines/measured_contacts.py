@@ -1,10 +1,10 @@
 """Contacts and impacts of another engine's recording, measured from the states of successive frames.
 
-Impulses follow from the momenta where the bodies that may have touched between two frames form a tree of at most three
-contacts (`single_contacts`). Each quantity has a value for each order of these contacts and each possible normal. The
+If the bodies that may have touched between two frames form a tree of at most three contacts, impulses follow from the
+momenta (`single_contacts`). Each quantity has a value for each order of these contacts and each possible normal. The
 table has the median of these values, and the largest deviation from it as the uncertainty. If isolated impacts of the
-same materials agree best for one normal and field, the table has the value for these. An impact of a soft contact lasts
-for several frames: the first frame gives its approach, the last its rebound.
+same materials agree best for one choice of normal and field, the table has the value of this choice. An impact of a
+soft contact lasts for several frames: the first frame gives its approach, the last its rebound.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ from carom.recording.read.recorded_contacts import SCHEMA, SOURCE, table_of
 from carom.recording.read.recording import Recording
 from carom.state.checkpoint import Checkpoint
 
-LEAD = 60  # frames before an interval, from which the damping and the typical speed are measured
-COEFFICIENTS = ("restitution", "restitution_error", "friction", "friction_error")  # columns added to carom's own
+LEAD = 60  # number of frames before an interval from which the damping and the typical speed are measured
+# columns added to the columns of carom's contact table
+COEFFICIENTS = ("restitution", "restitution_error", "friction", "friction_error")
 MEASURED = "measured from the states of successive frames"
 UNSOLVED = "unsolved"  # key in a table's metadata for impacts with unknown impulses
 
@@ -98,12 +99,12 @@ class MeasuredFrame:
 
 
 def frames_of(recording: Recording, start: float, end: float) -> Iterator[MeasuredFrame]:
-    """Yield the contacts between successive frames, from a few frames before a start (s) up to an end (s).
+    """Yield the contacts between successive frames, from a few frames before ``start`` (s) up to ``end`` (s).
 
     Raises
     ------
     RecordingError
-        If frames without exact states lie between them.
+        If some of these frames have no exact state.
     """
     frames = recording.fingerprints()
     steps, times = frames["step"].to_numpy(), frames["time"].to_numpy()
@@ -165,7 +166,7 @@ class _Bodies:
         return seen
 
     def moment(self, state: Checkpoint) -> EngineMoment:
-        """Return a state of these bodies."""
+        """Return a recorded state of these bodies."""
         given = state.angular_velocity, state.orientation
         spin, orientation = (np.empty((0, 3)) if each is None else each[self.there] for each in given)
         none = np.empty((0, 3))
@@ -195,7 +196,7 @@ class _Impact:
         return np.asarray(one.parting / one.closing if isolated else np.empty(0))
 
     def row(self, way: int | None) -> dict[str, Any]:
-        """Return the impact's row of the table, computed in the engine's usual way if that is known."""
+        """Return the impact's row of the table, computed with the engine's usual normal and field if they are known."""
         one, last = self.parts[0], self.parts[-1]
         normal, tangential = (
             sum((np.median(getattr(part, name)) for part in self.parts), 0.0) for name in ("normal", "tangential")
@@ -239,7 +240,8 @@ def _way_of(impacts: list[_Impact], bodies: int) -> int | None:
     groups: dict[int, list[FloatArray]] = {}
     for impact in impacts:
         if len(ways := impact.ways):
-            groups.setdefault(max(impact.pair[1] - bodies, -1), []).append(ways)  # each plane, or bodies
+            # one group for each plane, one for pairs of bodies
+            groups.setdefault(max(impact.pair[1] - bodies, -1), []).append(ways)
     known = [np.array(group) for group in groups.values() if len(group) >= FEWEST]
     if not known:
         return None
@@ -273,7 +275,7 @@ def measured_impacts(recording: Recording, start: float | None = None, end: floa
                 continue
             impact = known or _Impact(frame, pair)
             impact.parts.append(part)
-            if abs(impact.parting) <= frame.slow and size * part.ease <= frame.slow:  # it rests
+            if abs(impact.parting) <= frame.slow and size * part.ease <= frame.slow:  # the contact is at rest
                 found.append(impact)
             else:
                 going[pair] = impact
@@ -288,7 +290,7 @@ def measured_impacts(recording: Recording, start: float | None = None, end: floa
 
 
 def _hits(frame: MeasuredFrame, part: Measurement) -> bool:
-    """Return whether a contact closed, and changed its speed, faster than contacts at rest do."""
+    """Return whether the closing speed and its change exceed the speed of contacts at rest."""
     changed = float(np.median(part.normal)) * part.ease
     return bool(part.closing.max() > frame.slow) and changed > frame.slow
 
@@ -315,7 +317,7 @@ def _table(rows: list[dict[str, Any]], source: str, unsolved: int = 0) -> pa.Tab
 def measured_contacts(recording: Recording, at: float | None = None) -> pa.Table:
     """Return the contacts of the frame that contains a time (s), as `Recording.contacts` does.
 
-    Forces are the engine's own where it reports them; elsewhere, impulses follow from the states. Approach speeds and
+    If the engine reports forces, the table has them; otherwise, impulses follow from the states. Approach speeds and
     losses always follow from the states. Bodies that touch although the engine reports no contact have a row, too.
     """
     moment = recording.moment(at)

@@ -18,13 +18,13 @@ from carom.engines.source import Setup
 
 UNCHANGED = 1e-3  # smallest relative change of the closing speed that counts as contact
 TUNNELLED = 0.5  # fraction of the closing speed that bodies keep if they pass through each other without collision
-FOUND = 5e-3  # overlap, in smaller radii, at which even a soft contact must exert a force
+FOUND = 5e-3  # overlap, in smaller radii, from which even a soft contact must exert a force
 SHALLOW = 1e-3  # overlap, in smaller radii, below which bodies have no elastic energy
-OFTEN, RARELY = 20, 0.05  # impacts that show an engine's habit, and the fraction of exceptions
-ALIKE, FEWEST = 0.5, 4  # fraction of an impact's speed from which others are compared with it, and fewest agreeing ones
+OFTEN, RARELY = 20, 0.05  # number of impacts that show an engine's habit, and allowed fraction of exceptions
+ALIKE, FEWEST = 0.5, 4  # smallest speed of compared impacts, relative to the impact's, and fewest that must agree
 MOSTLY = 0.5  # fraction of an engine's impacts that take the usual number of steps
-# For so many steps, overlapping bodies may approach without an impulse. Box3D finds some pairs late: at most 4 steps in
-# 30 runs.
+# Number of steps for which overlapping bodies may approach without an impulse. Box3D finds some pairs late: at most 4
+# steps in 30 runs.
 LONGEST = 6
 STUCK = 20  # frames for which one body may contain another's centre; soft contacts of MuJoCo part within 16
 
@@ -33,14 +33,14 @@ STUCK = 20  # frames for which one body may contain another's centre; soft conta
 class Unresolved:
     """An impact that the steps so far have not resolved."""
 
-    step: int  # the first one
+    step: int  # first step of the impact
     time: float  # s
     ends: tuple[int, int]
-    speed: float  # m/s, closing
-    excess: float  # speed over that of slow contacts
+    speed: float  # m/s, closing speed
+    excess: float  # ratio of the closing speed to the speed of slow contacts
     relative: FloatArray  # (3,) m/s, velocity of the second end relative to the first
     steps: int = 1  # steps in which the overlapping ends closed unchanged
-    pushed: bool = False  # another contact may have closed it again
+    pushed: bool = False  # whether another contact may have closed this one again
     passed: bool = False
     later: list[tuple[int, float]] = field(default_factory=list)  # steps, and times in s, of the later steps
 
@@ -57,11 +57,11 @@ def _usual(steps: FloatArray) -> int:
 class Inside:
     """A pair in which one end contains the other's centre."""
 
-    step: int  # the first one
+    step: int  # first step in which the centre is inside
     time: float  # s
     ends: tuple[int, int]
     frames: int
-    depth: float  # of the smaller radius
+    depth: float  # overlap, in smaller radii
 
 
 class MissedImpacts:
@@ -72,7 +72,8 @@ class MissedImpacts:
         self._touched = np.zeros(len(setup) + len(setup.planes), bool)  # ends that touched in the previous frame
         self._open: dict[int, Unresolved] = {}
         self._inside: dict[int, Inside] = {}
-        self._resolved: list[tuple[float, int]] = []  # m/s, speed of each impact, and the steps that it took
+        # speed of each impact in m/s, and the number of steps that it took
+        self._resolved: list[tuple[float, int]] = []
         self._late: list[Unresolved] = []
 
     def see(
@@ -81,7 +82,7 @@ class MissedImpacts:
         near: Near,
         known: BoolArray,  # (k,) whether both ends are judged
         speeds: tuple[FloatArray, FloatArray],  # (k,) m/s, closing speeds in both frames
-        still: float,  # m/s, of slow contacts
+        still: float,  # m/s, speed of slow contacts
     ) -> Iterator[Unresolved]:
         """Yield the impacts that were certainly missed."""
         closing, after = speeds
@@ -91,7 +92,8 @@ class MissedImpacts:
         overlap = near.gap_now < -SHALLOW * near.small
         swept = (after < TUNNELLED * closing) & (near.gap_before <= closing * place[2])
         met = overlap | (near.gap_now <= 0.0) | swept
-        fresh = hits & (near.gap_before > 0.0) & met  # another body may have reversed those that never touched
+        # another body may have reversed the velocity of a pair that never touched
+        fresh = hits & (near.gap_before > 0.0) & met
         through = near.passed_deep() & (near.gap_before >= -SHALLOW * near.small) & hits & (after > TUNNELLED * closing)
         plane = near.pairs[:, 1] >= n  # a contact with a plane may throw a body back from the other side
         beyond = np.einsum("ij,ij->i", near.now, near.directions_of_touch()) < 0.0
@@ -100,8 +102,8 @@ class MissedImpacts:
         adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
         others = np.bincount(adjacent.ravel(), minlength=ends) - 1
         others[n:] = 0
-        # others push only what changes its velocity; in the step before, too: engines look for pairs with the
-        # velocities at its start
+        # others can push only bodies whose velocity changes, now or in the previous step: engines look for pairs with
+        # the velocities at the start of a step
         change = (
             near.relative_now - near.relative_before + np.where(plane[:, None], self._setup.gravity * place[2], 0.0)
         )
@@ -158,21 +160,21 @@ class MissedImpacts:
         """Yield the impacts that took more steps than usual; none if the engine has no usual number.
 
         Engines that find contacts within a margin resolve slow impacts earlier than fast ones. An impact is therefore
-        also compared with only those impacts that are not much slower.
+        also compared with the impacts that are not much slower, without the others.
         """
         speed, steps = np.array(self._resolved, dtype=np.float64).reshape(-1, 2).T
         for impact in self._late:
             fast = steps[speed >= ALIKE * impact.speed]
             if len(steps) >= OFTEN and not impact.pushed and self._rare(impact, steps) and self._rare(impact, fast):
                 usual = min(_usual(steps), len(impact.later))
-                if usual:  # the step in which this engine usually resolves its impacts
+                if usual:  # index of the step in which this engine usually resolves an impact
                     impact.step, impact.time = impact.later[usual - 1]
                 yield impact
         self._late = []
 
     @staticmethod
     def _rare(impact: Unresolved, steps: FloatArray) -> bool:
-        """Return whether an impact took more steps than the usual number of at least half of the given impacts."""
+        """Return whether an impact took more steps than usual for the given impacts."""
         usual = _usual(steps)
         return impact.steps > usual and bool(np.count_nonzero(steps == usual) >= max(MOSTLY * len(steps), FEWEST))
 
@@ -191,5 +193,5 @@ class MissedImpacts:
     def _resolve(self, impact: Unresolved) -> None:
         if not impact.pushed:
             self._resolved.append((impact.speed, impact.steps))
-        if impact.steps < LONGEST and not impact.passed:  # otherwise it was reported
+        if impact.steps < LONGEST and not impact.passed:  # otherwise the impact was already reported
             self._late.append(impact)

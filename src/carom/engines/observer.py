@@ -40,7 +40,7 @@ from carom.state.books import NOTHING, Books, Extreme, Extremes, MonitorState, P
 from carom.state.energies import Energy, Ledger
 from carom.state.frame import CollisionGraph, Frame
 
-DT_LIMIT = "engine"  # the limit that recordings name for dt
+DT_LIMIT = "engine"  # the name of the limit of dt in recordings
 
 
 class Observer:
@@ -90,8 +90,8 @@ class Observer:
     def continued(self, present: Present, state: State) -> Observer:
         """Return the observer for the bodies that exist in and after a state.
 
-        Bodies that came and went cause the change of energy since the previous frame, which is neither an error nor
-        absorbed by contacts. Momenta are compared with the momenta of this state.
+        The change of energy since the previous frame is due to bodies that came or went; it is neither an error nor
+        absorbed by contacts. Later momenta are compared with the momenta of this state.
         """
         new = Observer(present.setup, state, self._tolerances, self.units, present)
         new.extremes, new._ledger, new._last_time = self.extremes, self._ledger, self._last_time
@@ -194,7 +194,8 @@ class Observer:
             text = f"First contact: {self.names.pair(ends.tolist())}."
             events.insert(0, Event(step, time, "INFO", text, "first-contact"))
         statistics = self._statistics(contacts, seen)
-        if statistics.contacts or statistics.impacts or statistics.deepest:  # otherwise no frame has an extreme to name
+        # otherwise the frame has no extreme to name
+        if statistics.contacts or statistics.impacts or statistics.deepest:
             add_contacts(self.extremes, step, time, statistics)
         # update the extremes of the energy; energy returned by soft contacts is not a gain
         extremes = self.extremes

@@ -1,7 +1,8 @@
 """`Population`: numbers the bodies of another engine's run in which bodies come and go.
 
-A recording numbers all bodies that ever existed. A frame has a place for each of them; a body that does not exist has
-the position NaN, which is not drawn. Frames are computed for the present bodies, and then spread over these places.
+A recording numbers all bodies that ever existed. A frame has a place for each body; a body that does not exist has the
+position NaN, which is not drawn. Frames are computed for the present bodies, and then spread over the places of all
+bodies.
 """
 
 from __future__ import annotations
@@ -26,26 +27,26 @@ class Present:
     """The bodies that exist at some time."""
 
     numbers: IntArray  # (k,) numbers of these bodies in the recording
-    setup: Setup  # of these bodies
+    setup: Setup  # setup of these bodies
     bodies: int  # number of bodies that have existed so far
     names: Names  # names of all bodies so far, and of planes with numbers from `FIRST_PLANE` on
 
     @property
     def ends(self) -> IntArray:
-        """(k + p,) numbers of the ends of a frame's contacts: the bodies that exist, then the planes."""
+        """Numbers of the ends of a frame's contacts, (k + p,): the bodies that exist, then the planes."""
         return np.concatenate((self.numbers, self.bodies + np.arange(len(self.setup.planes))))
 
     @property
     def lasting_ends(self) -> IntArray:
-        """The same numbers, but with numbers of planes that do not change when bodies come."""
+        """Numbers of the ends as in `ends`, but the numbers of planes do not change when bodies come."""
         return np.concatenate((self.numbers, FIRST_PLANE + np.arange(len(self.setup.planes))))
 
 
 class Population:
     """Numbers the bodies of states by their ids.
 
-    If the mass or radius of a body changes, as in a merger, this body ends and another begins. The setup of the first
-    state was made from the model, whose bodies have the ids (n,).
+    If the mass or radius of a body changes, as in a merger, this body ends and another begins. ``setup`` belongs to the
+    first state, and was made from the model; ``ids``, (n,), are the ids of its bodies.
     """
 
     def __init__(self, setup: Setup, model: Model, ids: IntArray) -> None:
@@ -56,15 +57,15 @@ class Population:
         self.present = Present(np.arange(n), setup, n, self._names)
         self._given = np.stack([np.broadcast_to(each, n) for each in (model.mass, model.radius)], axis=1).astype(float)
         self._ids = ids
-        self._bodies_of_id = dict.fromkeys(ids.tolist(), 1)  # bodies so far by id
+        self._bodies_of_id = dict.fromkeys(ids.tolist(), 1)  # number of bodies so far with each id
 
     def find(self, state: State) -> Present:
-        """Return the bodies of a state, the same object as before if none came or went. Raises RecordingError."""
+        """Return the bodies of a state: the same object as before if no body came or went. Raises RecordingError."""
         engine, known = self.whole.engine, self.present
         if state.ids is None:
             raise RecordingError(f"{engine}: the state has no ids, though the first state had some")
         ids = ids_of(engine, state.ids, len(state.position))
-        sizes = np.full((len(ids), 2), np.nan)  # mass in kg and radius in m; NaN where they are not given
+        sizes = np.full((len(ids), 2), np.nan)  # mass in kg and radius in m; NaN if not given
         for column, name in enumerate(("mass", "radius")):
             if (values := getattr(state, name)) is not None:
                 sizes[:, column] = array_of(engine, name, values, (len(ids),))
@@ -118,7 +119,7 @@ class Population:
 
 
 _COLUMNS = ("mass", "radius", "inertia", "fixed", "judged", "touches")  # arrays of a setup with one value for each body
-_AGAIN = " ("  # text before the number in the name of a body that reuses the id of an earlier one
+_AGAIN = " ("  # text before the number in the name of a body that reuses the id of an earlier body
 
 
 def ids_of(engine: str, ids: Any, count: int) -> IntArray:

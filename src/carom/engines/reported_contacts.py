@@ -19,9 +19,9 @@ def judge_reported(
 ) -> Iterator[Broken]:
     """Yield the laws that reported contacts, (m,) `CONTACT`, break between two moments.
 
-    ``friction`` is the fraction of the work of friction that may have the wrong sign, and ``slow`` the speed (m/s) of
-    contacts at rest. Friction counts as acting along the slip only if it does so before and after the step, since an
-    engine may have computed contacts at either time.
+    ``friction`` is the fraction of the work of friction that may have the wrong sign, and ``slow`` is the largest speed
+    (m/s) of contacts at rest. Friction counts as acting along the slip only if it does so before and after the step,
+    since an engine may have computed contacts at either time.
     """
     dt = now.time - before.time
     i, j = contacts["i"], contacts["j"]
@@ -48,7 +48,7 @@ def judge_reported(
     slips = [_slip(setup, contacts, moment) for moment in (before, now)]
     works = [np.einsum("ij,ij->i", contacts["friction"], slip) for slip in slips]
     least_works = [rubs * (friction * lengths(slip) + slow) for slip in slips]
-    # beside another contact, the friction of a soft contact also resists the other's acceleration
+    # if a body has another contact, the friction of a soft contact also resists the acceleration by that contact
     beside = np.bincount(np.concatenate((i, j)), minlength=len(ease)) > 1
     beside[len(setup) :] = False
     known = known & ~beside[i] & ~beside[j]
@@ -65,7 +65,7 @@ def _ends(contacts: Records, k: int) -> tuple[int, int]:
 
 
 def _slip(setup: Setup, contacts: Records, moment: EngineMoment) -> FloatArray:
-    """Return the tangential velocities (m, 3) of the second ends' surfaces relative to the first ends'."""
+    """Return the tangential velocities (m, 3) of the second ends' surfaces relative to the first ends' surfaces."""
     normal = contacts["normal"]
     slip = np.zeros((len(contacts), 3))
     for end, sign, out in (("i", -1.0, 1.0), ("j", 1.0, -1.0)):

@@ -1,6 +1,6 @@
-"""The friction of isolated contacts, compared over a whole run with that of contacts that slide.
+"""The friction of isolated contacts, compared over a whole run with the friction of sliding contacts.
 
-Where a body touches nothing but one plane or one other body, its momentum gives the impulse of this contact. While a
+If a body touches nothing but one plane or one other body, its momentum gives the impulse of this contact. While a
 contact slides, Coulomb's law fixes the ratio of friction to normal impulse, μ; while it sticks, μ limits the ratio. At
 the end of a run, μ is known as the ratio that most sliding contacts of this engine have. A contact of the same bodies
 with another ratio breaks the law.
@@ -19,19 +19,20 @@ from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
 from carom.engines.faults import FRICTION, Broken, BrokenThen
 from carom.engines.source import Setup
 
-FEWEST = 20  # fewest contacts that slide
-SLIDING = 0.1  # of the speed up to which contacts may rest; engines of soft friction let a sticking contact creep
+FEWEST = 20  # fewest sliding contacts that show μ
+# slip that counts as sliding, relative to the largest speed at rest; soft friction lets a sticking contact creep
+SLIDING = 0.1
 CLEAR = 20.0  # smallest clear impulse, in multiples of its noise
-ROUNDED = 1e-6  # rounding over m |v|, of engines that compute in single precision
-EXACT = 0.02  # largest deviation of most contacts, over μ, for which single contacts are judged
-OFF = 0.1  # smallest deviation of a fault, over μ
-RARELY = 0.05  # fraction of the sticking contacts; if more of them exceed μ, the engine's static friction is larger
+ROUNDED = 1e-6  # rounding relative to m |v| in engines that compute in single precision
+EXACT = 0.02  # single contacts are judged if most contacts deviate by at most this, relative to μ
+OFF = 0.1  # smallest deviation of a fault, relative to μ
+RARELY = 0.05  # fraction of the sticking contacts; if more of these exceed μ, the engine's static friction is larger
 MOST_FRAMES = 100_000  # most frames with samples
 
 
 @dataclass(frozen=True, slots=True)
 class RubbedFrame:
-    """Isolated contacts of one frame, (m,), and the range of friction over normal impulse of each."""
+    """Isolated contacts of one frame, (m,), and for each the range of the ratio of friction to normal impulse."""
 
     step: int
     time: float  # s
@@ -50,12 +51,12 @@ class RubbingContacts:
 
     def see(
         self,
-        place: tuple[int, float],  # step and s
+        place: tuple[int, float],  # step and time in s
         setup: Setup,
         moments: tuple[EngineMoment, EngineMoment],
         near: Near,
         rows: IntArray,  # rows of near pairs that touched nothing else in the frame
-        closing: FloatArray,  # (k,) m/s, closing speeds of all near pairs, before
+        closing: FloatArray,  # (k,) m/s, closing speeds of all near pairs before the frame
         slow: float,  # m/s, speed up to which contacts may rest
     ) -> None:
         """Keep the contacts that were pressed together."""
@@ -76,7 +77,7 @@ class RubbingContacts:
         across = np.sqrt(np.maximum(np.einsum("ij,ij->i", J, J) - along**2, 0.0))
         slips = [_slip(setup, moment, i, j, normal) for normal in normals for moment in moments]
         slides = (np.array([lengths(slip) for slip in slips]) > SLIDING * slow).all(axis=0)
-        # the slip of friction that changes its direction in a frame was zero meanwhile
+        # if the slip changes its direction in a frame, it was zero at some time in the frame
         slides &= np.einsum("ij,ij->i", slips[0], slips[-1]) > 0.0
         pressed = along.min(axis=0) > np.maximum(CLEAR * noise, 0.0)
         if not pressed.any():
@@ -116,7 +117,7 @@ class RubbingContacts:
 def _comparable(ends: IntArray, pair: IntArray, slides: BoolArray, bodies: int) -> Iterator[IntArray]:
     """Yield the rows whose ratios are compared: of a pair that slides for long, else of a plane, or of all bodies."""
     long = np.bincount(pair, slides) >= FEWEST
-    # a number for each such pair, a number for each plane, and one number for all contacts between bodies
+    # a number for each pair that slides for long, for each plane, and one for all other contacts between bodies
     kind = np.where(long[pair], ends.max() + pair, np.maximum(ends[:, 1] - bodies, -1))
     for each in np.unique(kind).tolist():
         yield np.flatnonzero(kind == each)
@@ -125,7 +126,7 @@ def _comparable(ends: IntArray, pair: IntArray, slides: BoolArray, bodies: int) 
 def _wrong(
     ends: IntArray, least: FloatArray, most: FloatArray, slides: BoolArray, bodies: int
 ) -> Iterator[tuple[int, float, float]]:
-    """Yield the rows whose ratio differs from the usual one, that ratio, and the violation over tolerance.
+    """Yield the rows whose ratio is unusual, the usual ratio, and the violation divided by the tolerance.
 
     Bodies may have different materials, so a contact is judged only if each of its bodies also slides with the usual
     ratio.
@@ -149,7 +150,7 @@ def _wrong(
 
 
 def _slip(setup: Setup, moment: EngineMoment, i: IntArray, j: IntArray, normal: FloatArray) -> FloatArray:
-    """Return the velocities of the second surfaces relative to the first along the surface, (m, 3) m/s."""
+    """Return the tangential velocities of the second surfaces relative to the first surfaces, (m, 3) m/s."""
     n = len(setup)
     second, is_body = np.minimum(j, n - 1), (j < n)[:, None]
     slip = -moment.velocity[i] - setup.radius[i][:, None] * cross(moment.spin[i], normal)

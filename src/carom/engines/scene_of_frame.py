@@ -1,4 +1,4 @@
-"""A scene that begins with the exact state of a frame of a recording, of carom or of another engine."""
+"""A scene that begins with an exact state from a recording, made by carom or by another engine."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
-SURE = 0.1  # largest uncertainty of a coefficient that is used where others are more certain
+SURE = 0.1  # largest uncertainty of a coefficient that is used although others are more certain
 DIGITS = 3  # digits of a measured coefficient; further digits are uncertain
-LEAST_STEPS = 100  # fewest engine steps that a scene lasts where the recording ends earlier
+LEAST_STEPS = 100  # fewest engine steps that a scene lasts if the recording ends soon after the frame
 
 
 def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:
-    """Return the text of a scene that begins with a recorded state: at the end of the step that contains a time (s).
+    """Return the text of a scene that begins with the recorded state at the end of the step that contains a time (s).
 
-    By default, the time is that of the frame before the worst broken law, or of the first frame. For another engine,
+    The default time is the frame before the worst broken law, or the first frame. For another engine,
     the coefficients are measured from its impacts.
 
     Raises
@@ -47,7 +47,7 @@ def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:
 
 
 def _before_the_worst_law(recording: Recording) -> float:
-    """Return the time (s) of the frame before the worst broken law; without one, of the first frame."""
+    """Return the time (s) of the frame before the worst broken law, or of the first frame if no law is broken."""
     recording.require_frames()
     frames, laws = recording.fingerprints(), recording.summary().get("laws", {})
     worst = next(iter(laws.values()), None)

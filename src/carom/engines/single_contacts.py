@@ -1,9 +1,9 @@
 """Laws of single contacts, judged from two states: friction, restitution, pull and spin.
 
-Where the bodies that may have touched between two frames form a tree of at most `MOST` contacts, the impulse of each
-contact follows from the momenta: a leaf of the tree has one unknown impulse. The engine may have resolved the contacts
-in any order, with the positions of either frame, and the field may have acted before or after the contacts. A law is
-reported as broken only if every possible order and normal breaks it.
+If the bodies that may have touched between two frames form a tree of at most `MOST` contacts, the impulse of each
+contact follows from the momenta, because a leaf of the tree has one unknown impulse. The engine may have resolved the
+contacts in any order, with the positions of either frame, and the field may have acted before or after the contacts. A
+law is reported as broken only if every possible order and normal breaks it.
 
 At the end of the run, rebounds, torques and friction are also compared between all contacts of the run.
 """
@@ -27,7 +27,7 @@ from carom.engines.rubbing_contacts import RubbingContacts
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
-MOST = 3  # most contacts of a tree: four have 24 possible orders, one of which explains nearly any outcome
+MOST = 3  # most contacts of a tree: four contacts have 24 orders, and one of these would explain nearly any outcome
 IMPULSIVE = 0.02  # relative error of a contact's impulse; engines that correct positions add about 1 %
 DAMPED = 2e-3  # fraction of m |v| that an engine's damping may take in a frame: PyBullet takes 0.07 %
 RUBBED = 0.02  # smallest friction that is judged, beyond the turn of the normal, over the contact's impulse
@@ -41,14 +41,14 @@ class Measurement:
     """Measured quantities of one contact: a value for each order of the contacts and each possible normal, (m,)."""
 
     closing: FloatArray  # m/s, closing speed of the surfaces before the frame
-    parting: FloatArray  # m/s, after
-    slip: FloatArray  # m/s, tangential, after
+    parting: FloatArray  # m/s, speed of separation after the frame
+    slip: FloatArray  # m/s, tangential velocity after the frame
     normal: FloatArray  # N s, normal impulse on the second end
-    tangential: FloatArray  # N s
+    tangential: FloatArray  # N s, tangential impulse
     lost: FloatArray  # J
     point: FloatArray  # (3,) m
     direction: FloatArray  # (3,) unit vector from the first end to the second
-    least: float  # N s, largest impulse that damping may give
+    least: float  # N s, largest impulse that may come from damping
     ease: float  # 1/kg, change of the closing speed by a normal impulse
 
 
@@ -57,7 +57,7 @@ class ContactLaws:
 
     def __init__(self, setup: Setup, restitution: float, friction: float) -> None:
         self._setup = setup
-        self.restitution = restitution  # error of a coefficient of restitution
+        self.restitution = restitution  # allowed error of a coefficient of restitution
         self.coefficient = setup.friction
         self.friction = friction  # work of the wrong sign that friction may do, divided by |J_t| times the slip
         self.rebounds = Rebounds(setup, restitution)
@@ -97,7 +97,7 @@ class ContactLaws:
 
 
 def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterator[IntArray]:
-    """Yield the rows of each set of near pairs that may have touched in a frame of dt s, and whose impulses are known.
+    """Yield the rows of each set of near pairs that may have touched in a frame of dt s and have known impulses.
 
     Such a set is a tree of at most `MOST` contacts with at most one fixed end. ``closing`` are earlier closing speeds,
     (k,) m/s.
@@ -131,7 +131,7 @@ class ContactTree:
     def __init__(self, setup: Setup, before: EngineMoment, now: EngineMoment, near: Near, rows: IntArray) -> None:
         n, dt = len(setup), now.time - before.time
         self._near, self._rows, self._dt = near, rows, dt
-        self._place_in_time = 0, 0.0  # step and s
+        self._place_in_time = 0, 0.0  # step and time in s
         ends = near.pairs[rows]
         bodies = np.unique(ends[ends < n])
         place = {int(body): k for k, body in enumerate(bodies)}
@@ -157,7 +157,7 @@ class ContactTree:
         self.impulses = self._solve(momentum, self._weight > 0.0)
         speed = np.maximum(lengths(self._v0), lengths(self._v1))
         self._noise = DAMPED * float((speed * np.where(fixed, 0.0, setup.mass[bodies])).sum())
-        # engines with substeps keep a contact's normal and arms while bodies turn and move
+        # engines with substeps keep a contact's normal and arms although bodies turn and move
         self._rolled = np.maximum(lengths(self._w0), lengths(self._w1)) * dt
         self._depth = np.maximum(-np.minimum(near.gap_before, near.gap_now)[rows], 0.0)
         self._normals = near.possible_normals(rows)
@@ -188,7 +188,7 @@ class ContactTree:
         return sum(body in self._ends[k] for k in contacts)
 
     def judge(self, laws: ContactLaws, step: int, time: float, slow: float) -> list[Broken]:
-        """Return the laws that these contacts broke, and note their impacts."""
+        """Return the laws that the contacts of the tree broke, and note their impacts."""
         self._place_in_time = step, time
         found = [broken for k in range(len(self._rows)) for broken in self._contact(k, laws, slow)]
         for k in range(len(self._rows)) if not found else ():
@@ -208,7 +208,7 @@ class ContactTree:
                     first = self._slip(k, normal[k], v, w)
                     self._push(k, normal[k], v, w)
                     yield first, self._slip(k, normal[k], v, w)
-            if others:  # resolves all contacts at once, as a solver with one target for each contact does
+            if others:  # if all contacts are resolved at once, as by a solver with one target for each contact
                 v, w = self._v0 + share * self._field, self._w0.copy()
                 first = self._slip(k, normal[k], v, w)
                 for other in range(len(self._rows)):
@@ -296,10 +296,10 @@ class ContactTree:
             what = f"rub with {rubs / max(along):.3g} of their normal impulse; the model says {known:.3g}"
             yield Broken(FRICTION, excess, pair, what)
         gains = [after - abs(before) - laws.restitution * max(before, 0.0) for before, after in ratios]
-        # beside another contact, engines may take the normal of an earlier step: friction then seems to take
-        # back most of the energy
+        # beside another contact, engines may use the normal of an earlier step, and friction then seems to remove most
+        # of the energy
         kept = len(self._rows) == 1 or min(whole) > KEPT * min(along) * min(gains)
-        # an engine of rigid contacts gives overlapping bodies no more than a correction
+        # an engine with rigid contacts gives overlapping bodies no more speed than a correction
         allowed = slow + (PARTED * self._depth[k] / self._dt if touched else 0.0)
         if min(gains) > allowed and kept:
             closing = min(before for before, _ in ratios)
@@ -338,7 +338,8 @@ class ContactTree:
             largest = float(sizes[own].sum())
             r, angular = self._radius[body], (self._w1[body] - self._w0[body]) / self._ease[body]
             arms = [-r * sum(cross(normals[k], self.impulses[k]) for k in own) for normals in self._normals]
-            parts = [1.0, 1.0 - 0.5 * float(self._depth[own].max()) / r]  # arms to the surface, or into the overlap
+            # arms that end at the surface, or inside the overlap
+            parts = [1.0, 1.0 - 0.5 * float(self._depth[own].max()) / r]
             number = int(self._bodies[body])
             ways = np.array([part * arm for part in parts for arm in arms])
             turned = None if self._turned_spins is None else self._turned_spins[body] / self._ease[body]
@@ -360,7 +361,7 @@ class ContactTree:
                 yield Broken(SPIN, min(excess), (number,), "spins up by a torque that no force at its surface has")
 
     def _spins_on(self, body: int, k: int, torque: FloatArray) -> Iterator[FloatArray]:
-        """Yield spins (3,) relative to the other end of contact k: before, after its torque, and after the step."""
+        """Yield spins (3,) relative to the other end of contact k: before its torque, after it, and after the step."""
         i, j = self._ends[k]
         other = j if body == i else i
         still = np.zeros(3)

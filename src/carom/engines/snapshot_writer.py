@@ -1,6 +1,7 @@
 """`SnapshotWriter`: records the snapshots of another engine's run in a separate thread.
 
-`Unrecorded` has the notes on everything that could not be recorded: events of the recording, and lines on stderr.
+`Unrecorded` has the notes on everything that could not be recorded: they are events of the recording, and lines on
+stderr.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
 MOST_WAITING = 256
 STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at the start
 BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies
-PATIENCE = 0.02  # s, after which a smaller batch is sent
-KIND = "not-recorded"  # of the events
-MOST_TEXTS = 20  # further texts are only counted
+PATIENCE = 0.02  # s after which a smaller batch is sent
+KIND = "not-recorded"  # kind of the events
+MOST_TEXTS = 20  # most different texts; further texts are only counted
 
 
 class SnapshotWriter:
@@ -63,14 +64,14 @@ class SnapshotWriter:
         self._observer, self._new, self._unrecorded = observer, new, unrecorded
         self._population, self._present = population, None if population is None else population.present
         self._path, self._header = path, header
-        self._noted = 0  # events of `unrecorded` that are in the recording
+        self._noted = 0  # number of events of `unrecorded` that are in the recording
         self._stack = contextlib.ExitStack()
         self._stack.enter_context(claimed_output(path, force))
         self._recorder = FrameRecorder(path, header)
         self._store = None if population is not None else self._recorder.store_for(observer.bodies)
         size = 104 * header.bodies
         room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # number of snapshots that may be allocated
-        self._stock = min(room, STOCK_BYTES // size)  # allocated in advance, by this thread
+        self._stock = min(room, STOCK_BYTES // size)  # number of snapshots that this thread allocates in advance
         self._room = room - self._stock
         self._batch: list[tuple[int, StateMemory]] = []  # waiting to be sent
         self._due = 0.0
@@ -134,13 +135,13 @@ class SnapshotWriter:
             try:
                 self._spare.put(self._new())
             except MemoryError:
-                self._room += self._stock - allocated  # `spare` tries again
+                self._room += self._stock - allocated  # `spare` tries to allocate them again
                 break
         while (batch := self._queue.get()) is not None:
             for step, snapshot in batch:
                 if self._error is None:
                     self._record(step, snapshot.state)
-                self._spare.put(snapshot)  # in any case; otherwise `spare` would wait forever
+                self._spare.put(snapshot)  # returned in any case; otherwise `spare` would wait forever
 
     def _record(self, step: int, state: State) -> None:
         try:
@@ -167,7 +168,8 @@ class SnapshotWriter:
         self._put(frame)
 
     def _put(self, frame: Frame) -> None:
-        # notes since the last frame that are earlier than this one get its time, as before the first frame
+        # a note since the last frame that is earlier than this frame gets the time of this frame, as before the first
+        # frame
         notes: list[Event] = []
         for event in self._unrecorded.events[self._noted :]:
             if event.step > frame.step:
@@ -181,7 +183,7 @@ class SnapshotWriter:
             self._error = error
 
     def _find_bodies(self, state: State) -> Present | None:
-        """Return the bodies of a state, and observe them from there on; None if bodies do not come and go."""
+        """Return the bodies of a state, and observe these bodies from now on; None if bodies do not come and go."""
         population, before = self._population, self._present
         if population is None:
             return None
@@ -234,7 +236,7 @@ class Unrecorded:
     """Notes on states and contacts that the recording at a path lacks. Any thread may add notes."""
 
     def __init__(self, path: Path) -> None:
-        self.events: list[Event] = []  # only ever appended to
+        self.events: list[Event] = []  # elements are only ever appended
         self.texts: list[str] = []
         self.count = 0
         self._path = path
@@ -261,7 +263,7 @@ class Unrecorded:
             sys.stderr.flush()
 
     def total(self, step: int, time: float) -> list[Event]:
-        """Return the event with the number of problems, if this number exceeds the stored texts."""
+        """Return an event with the number of problems, if there are more problems than stored texts."""
         if self.count <= len(self.texts):
             return []
         return [Event(step, time, "WARN", f"{counted(self.count, 'problem')} of recording in all.", KIND)]

@@ -34,7 +34,7 @@ CONTACT = np.dtype(
 
 
 class Plane(NamedTuple):
-    """A static half-space; bodies are where ``normal · x > offset``."""
+    """A static half-space; bodies are on the side where ``normal · x > offset``."""
 
     normal: tuple[float, float, float]
     offset: float = 0.0  # m, distance of the plane from the origin along `normal`
@@ -45,15 +45,15 @@ class Plane(NamedTuple):
 class Model:
     """The constants of a run.
 
-    The audit checks the laws of ``judged`` bodies, which are free spheres, by default all. Other bodies are drawn as
-    spheres, and bodies that touch them are not judged.
+    The audit checks the laws of ``judged`` bodies, by default all bodies; these must be free spheres. Other bodies are
+    drawn as spheres, and bodies that touch them are not judged.
     """
 
     engine: str  # name and version, such as ``mujoco 4.0.0``
     mass: Any  # (n,) kg; 0 for a test particle
     radius: Any  # (n,) m; 0 for a point mass, which nothing touches
     inertia: Any = None  # (n,) kg m², by default as for solid spheres
-    names: Sequence[str] | None = None  # (n,) of the bodies
+    names: Sequence[str] | None = None  # (n,) names of the bodies
     fixed: Any = None  # (n,) whether a body never moves; by default none
     judged: Any = None  # (n,)
     gravity: Sequence[float] = (0.0, 0.0, 0.0)  # m/s², a uniform field
@@ -66,9 +66,9 @@ class Model:
     friction: float | None = None  # Coulomb coefficient of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # units of all numbers, as in `Recorder`; empty for SI
-    damping: float | None = None  # 1/s, the rates at which velocities and spins of all bodies decay; None: unknown,
-    angular_damping: float | None = None  # and measured if all free bodies share a rate
-    every: int = 1  # calls of `Recorder.frame` per recorded frame, by default; above 1 for states that are slow to copy
+    damping: float | None = None  # 1/s, rates at which velocities and spins of all bodies decay; None if unknown:
+    angular_damping: float | None = None  # they are then measured if all free bodies share a rate
+    every: int = 1  # default number of calls of `Recorder.frame` per recorded frame; above 1 if states are slow to copy
 
 
 @dataclass(slots=True)
@@ -81,7 +81,7 @@ class State:
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
     angular_velocity: Any = None  # (n, 3) rad/s, in the world frame; None if the engine has none
     contacts: Any = None  # (m,) `CONTACT` with forces, or (m, 2) touching bodies, n + k for plane k; None: unknown
-    # where bodies come and go, (n,) whole numbers that identify the bodies of this state; None: the bodies of the first
+    # (n,) whole numbers that identify the bodies of this state, if bodies come and go; None: the bodies of the first
     ids: Any = None
     mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; both may change during the run
     radius: Any = None  # ends, and another begins
@@ -109,7 +109,7 @@ class SteppedSource(Protocol):
     """A source that keeps the time itself, because its engine does not report it."""
 
     def stepped(self) -> None:
-        """Count a call of `Recorder.frame` after the first, recorded or not."""
+        """Count a call of `Recorder.frame` after the first call, whether or not a frame is recorded."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +133,7 @@ class Setup:
     friction: float | None
     touches: BoolArray  # (n,), False for points
     time_step: float
-    damping: float | None  # 1/s; None where unknown
+    damping: float | None  # 1/s; None if unknown
     angular_damping: float | None
     spins: bool
     turns: bool  # whether orientations are known
@@ -154,7 +154,7 @@ def has_forces(contacts: Any) -> bool:
 
 
 def setup_of(model: Model, first: State) -> Setup:
-    """Check a model and its first state, and complete missing arrays. RecordingError names a wrong array and body."""
+    """Check a model and its first state, and add missing arrays. RecordingError names the wrong array and its body."""
     if not isinstance(model.engine, str) or not model.engine:
         raise RecordingError(f'engine is {model.engine!r}; it must be a name, such as "mine 1.0"')
     engine = text_from(model.engine)
@@ -245,12 +245,12 @@ def refuse_wrong_arrays(setup: Setup, first: State) -> None:
 
 
 def text_from(value: Any) -> str:
-    """Return a program's value as a text that a file can hold: half characters, which UTF-8 lacks, as escapes."""
+    """Return a program's value as a text that a file can hold: half characters, which UTF-8 lacks, become escapes."""
     return str(value).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def _numbers(engine: str, name: str, values: Any) -> FloatArray:
-    """Return an array of float64; RecordingError if they are not numbers."""
+    """Return an array of float64; RecordingError if the values are not numbers."""
     try:
         if unfit := _unfit(values):
             raise TypeError(f"it has {unfit}")
@@ -280,7 +280,7 @@ def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatA
 
 
 def flags_of(engine: str, name: str, values: Any, n: int, default: bool) -> BoolArray:
-    """Return a flag for each body."""
+    """Return a flag for each body; ``default`` if there are no values."""
     if values is None:
         return np.full(n, default)
     given = np.array(values, dtype=object)
@@ -328,9 +328,9 @@ _Floats = NDArray[np.floating[Any]]
 class StateMemory:
     """Memory for one state.
 
-    The engine's thread fills it with few calls: one copy per array, and two passes over the block to check that all
-    numbers are finite. All numbers are in one block: the arrays of the state, and the parts that a `BulkSource` fills,
-    are views of the block.
+    The engine's thread fills the memory with few calls: one copy per array, and two passes over all numbers to check
+    that they are finite. All numbers are in one block: the arrays of the state, and the parts that a `BulkSource`
+    fills, are views of the block.
     """
 
     def __init__(self, state: State, block: _Floats, parts: tuple[NDArray[Any], ...] = ()) -> None:
@@ -351,7 +351,7 @@ class StateMemory:
         """Copy a state. Raises RecordingError if the state's arrays have other shapes, or its time is not a number."""
         own = self.state
         own.time = time_of(state)
-        if state.ids is not None:  # the arrays are those of this state's bodies
+        if state.ids is not None:  # the arrays belong to the bodies of this state
             for name in ("ids", "mass", "radius", "names", "fixed", "judged"):
                 values = getattr(state, name)
                 setattr(own, name, None if values is None else np.array(values))
@@ -381,7 +381,7 @@ class StateMemory:
             return False
         if self.block.size == 0:
             return True
-        # also fails if a number is NaN; compares Python floats, since LARGEST exceeds float32
+        # the comparison also fails if a number is NaN; it compares Python floats, since `LARGEST` exceeds float32
         return float(_LEAST(self.block, None)) >= -LARGEST and float(_MOST(self.block, None)) <= LARGEST
 
 

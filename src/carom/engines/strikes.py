@@ -1,4 +1,4 @@
-"""The step of each impact: engines may resolve an impact later than the step in which the bodies meet."""
+"""The step of each impact: an engine may resolve an impact later than in the step in which the bodies meet."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from carom.engines.missed_impacts import TUNNELLED
 class Strikes:
     """Impacts from the frame in which their bodies meet to the frame in which they lose half of their closing speed.
 
-    The engine's contact forces act in that last frame, not in the first. Bodies that part again without this loss have
-    missed their impact.
+    The engine's contact forces act in that last frame, not in the first. If bodies part again without this loss, the
+    engine has missed their impact.
     """
 
     def __init__(self) -> None:

@@ -28,9 +28,9 @@ from carom.scene.load import Scene
 PACKAGE = "robox3d"
 _NEAR = 0.2  # largest distance of a contact point from its plane, divided by its distance from the centre
 _PARALLEL = 1e-4  # largest 1 - cos(angle) between the normals of a contact and of its plane
-_LARGEST = 64  # largest number of points in a group whose impulses are computed from velocities
+_LARGEST = 64  # largest group of points whose impulses are computed from velocities
 _ROUNDED = 1e-6  # smallest change of velocity, relative to the speed, that is not rounding in single precision
-_WEIGHT = 1e-3  # weight of the engine's impulses in the fit; observed changes of velocity have errors below 1e-6
+_WEIGHT = 1e-3  # weight of the engine's impulses in the fit; the observed velocity changes have errors below 1e-6
 MOST_SHAPES = 64  # shapes examined for each body
 
 
@@ -45,7 +45,7 @@ class Box3DSource:
     world
         A robox3d.World, with its bodies and shapes.
     planes
-        The planes of its static shapes, such as the top of a large box; Box3D itself has none.
+        The planes of the world's static shapes, such as the top of a large box; Box3D itself has no planes.
     contacts
         Whether to record the forces of contacts; see `Box3DForces`.
     """
@@ -68,7 +68,7 @@ class Box3DSource:
         judged = [size is not None and not size[1] and not jointed for size in known]
         self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
-        # radius of a sphere of water with the body's mass, for drawing bodies without a sphere
+        # bodies without a sphere are drawn with the radius of a sphere of water of the body's mass
         water = (3.0 * np.maximum(mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0)
         self.model = Model(
             engine=_version(),
@@ -115,7 +115,7 @@ class ChangingBox3DSource:
         self._world, self._planes, self._contacts = world, planes, contacts
         self._lib = engine_package(f"{PACKAGE}._ffi", PACKAGE).lib
         self._ids: list[int] = []  # ids of the world's valid bodies
-        self._source: Box3DSource | None = None  # the source of these bodies; None if none of them moves
+        self._source: Box3DSource | None = None  # the source of these bodies; None if no body moves
         self._find()
         no_body = Model(engine=_version(), mass=[], radius=[], gravity=world.gravity, planes=planes)
         self.model = no_body if self._source is None else self._source.model
@@ -149,7 +149,7 @@ def box3d(
 ) -> Box3DSource | ChangingBox3DSource:
     """Return the source of a robox3d.World; see `Box3DSource`.
 
-    ``changing`` says whether bodies are created or destroyed while it is recorded.
+    ``changing`` says whether bodies are created or destroyed during the recording.
     """
     return (ChangingBox3DSource if changing else Box3DSource)(world, planes, contacts)
 
@@ -166,11 +166,11 @@ def _version() -> str:
 class _Point(NamedTuple):
     """A contact point of the last step."""
 
-    ends: tuple[int, int]  # of `CONTACT`
+    ends: tuple[int, int]  # ends of the contact, as in `CONTACT`
     place: FloatArray  # (3,) m
     normal: FloatArray  # (3,) unit vector from the first end to the second
     arms: tuple[FloatArray, FloatArray]  # (3,) m, from the centre of each end to the contact
-    closing: float  # m/s, before the step
+    closing: float  # m/s, closing speed before the step
     impulse: float  # N s, the impulse if all substeps are like the last one
     total: float  # N s, the sum over all substeps; some may be counted twice
     friction: FloatArray  # (3,) N, friction in the last substep
@@ -180,13 +180,13 @@ class Box3DForces:
     """Reads the forces of contacts between the recorded bodies, and with planes.
 
     Box3D has the impulses of its last substep, and sums over all substeps, which may include a substep twice. Neither
-    is the impulse of a step with an impact. Among spheres, impulses are therefore fitted to the observed changes of
-    normal velocities, as close as possible to the impulses of the last substep. For other shapes and in large piles,
-    the recorded impulses are those of the last substep or, in an impact, the sum over the step. Friction is always the
-    friction of the last substep.
+    number is the impulse of a step with an impact. Between spheres, impulses are therefore fitted to the observed
+    changes of normal velocities, and kept as close as possible to the impulses of the last substep. For other shapes
+    and in large piles, the recorded impulses are the impulses of the last substep or, in an impact, the sum over the
+    step. Friction is always the friction of the last substep.
 
-    ``backend`` is robox3d._ffi; ``spheres`` says which recorded bodies are spheres about their centres, and ``planes``
-    are the planes of static shapes.
+    ``backend`` is the module robox3d._ffi, ``spheres`` marks the recorded bodies that are spheres about their centres,
+    and ``planes`` are the planes of static shapes.
     """
 
     def __init__(
@@ -248,7 +248,7 @@ class Box3DForces:
         mobility = inverse.sum(axis=1)
         stops = np.divide(np.maximum(0.0, closing), mobility, out=np.zeros(len(points)), where=mobility > 0.0)
         found = np.where((stops <= guess) & (guess <= total), guess, total)
-        # the change of each normal velocity in the step, less the change by the field
+        # change of each normal velocity in the step, minus the change by the field
         change, field = closing.copy(), self._world.last_dt * np.asarray(self._world.gravity)
         normal, fastest = np.array([point.normal for point in points]), np.abs(closing)
         for side, sign in ((0, -1.0), (1, 1.0)):
@@ -262,7 +262,8 @@ class Box3DForces:
             if len(group) > _LARGEST or not self._spheres[ends[group]].all():
                 continue
             n, share = normal[group], signed[group]
-            matrix = np.zeros((len(group), len(group)))  # velocity changes at each point by unit impulses at the others
+            # velocity changes at each point by unit impulses at the other points
+            matrix = np.zeros((len(group), len(group)))
             for a in (0, 1):
                 for b in (0, 1):
                     same = ends[group, a][:, None] == ends[group, b][None, :]
@@ -273,7 +274,7 @@ class Box3DForces:
         return np.where(mobility * found > _ROUNDED * fastest, found, 0.0)
 
     def _groups(self, ends: IntArray) -> list[IntArray]:
-        """Return the rows of points that moving bodies connect, group by group."""
+        """Return groups of points that moving bodies connect, as lists of rows."""
         moves = self._inverse_mass[ends] > 0.0
         row, side = np.nonzero(moves)
         count = len(ends)

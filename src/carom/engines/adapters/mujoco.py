@@ -2,8 +2,8 @@
 
 The recorder audits free spheres. Bodies with other joints or shapes are drawn, but not judged.
 
-MuJoCo has no coefficient of restitution. A contact is a damped spring. Its stiffness and damping follow from the
-scene's coefficient of restitution and a bounce of `BOUNCE` steps.
+MuJoCo has no coefficient of restitution. A contact is a damped spring. Its stiffness and damping are chosen so that a
+bounce has the scene's coefficient of restitution and takes `BOUNCE` steps.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class MuJoCoSource:
     """The bodies of a MuJoCo model.
 
     The audit covers each body whose only shape is a sphere about its centre of mass and whose only joint is free. Other
-    bodies are drawn as spheres about all their shapes. Spheres of the world are bodies that never move; planes of the
-    world are planes.
+    bodies are drawn as spheres about all their shapes. Spheres that belong to the world body are recorded as bodies
+    that never move, its planes as planes.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class MuJoCoSource:
         self._end_of = end_of_body[owner]
         self._end_of[np.concatenate((still, planes))] = len(moving) + np.arange(len(still) + len(planes))
         self._contacts, self._wrench = contacts, np.empty(6)
-        # velocities of free joints are in the frame of the world, and spins in that of the body
+        # velocities of free joints are in the frame of the world, spins in the frame of the body
         self._free = np.flatnonzero(free)
         self._freedoms = model.jnt_dofadr[self._joint[self._free]][:, None] + np.arange(6)
         self._velocity = np.empty(6)
@@ -100,7 +100,7 @@ class MuJoCoSource:
         """Return the present state, with the contacts of the last step."""
         data, k = self._data, len(self._moving)
         if self._simple:
-            # after a step, qpos and qvel belong to its end, and xpos still to its start
+            # after a step, `qpos` and `qvel` belong to the end of the step, but `xpos` still belongs to its start
             places, rates = data.qpos[self._places], data.qvel[self._rates]
             self._position[:k] = places[:, :3]
             self._turn[:k, :3], self._turn[:k, 3] = places[:, 4:], places[:, 3]
@@ -116,7 +116,8 @@ class MuJoCoSource:
             self._turn[:k, :3], self._turn[:k, 3] = turn[:, 1:], turn[:, 0]
             for row, body in enumerate(self._moving):
                 package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
-                self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
+                # velocity and spin of the centre of mass
+                self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]
         self._read_forces()
         forces = self.forces() if self._contacts else None
         state = State(data.time, self._position, self._speed, self._turn, self._spin, forces)
@@ -158,7 +159,7 @@ def mujoco(model: Any, data: Any, contacts: bool = True) -> MuJoCoSource:
 
 
 def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> bool:
-    """Return whether a body is one sphere about its centre of mass that moves freely."""
+    """Return whether a body is a single sphere about its centre of mass, and moves freely."""
     return (
         model.body_jntnum[body] == 1
         and model.jnt_type[model.body_jntadr[body]] == package.mjtJoint.mjJNT_FREE
@@ -229,7 +230,7 @@ class MuJoCo(SteppedEngine):
         data.qvel[:] = np.concatenate((start.velocity[moving], start.angular_velocity[moving]), axis=1).ravel()
         source: Source = MuJoCoSource(model, data)
         if start.fixed.any():
-            # MuJoCo puts fixed bodies at the end, without names
+            # MuJoCo puts fixed bodies last, without names
             source = InOrder(source, np.argsort(np.argsort(start.fixed, kind="stable")), names)
         return EngineSimulation(source, lambda: engine.mj_step(model, data), dt)
 

@@ -36,8 +36,8 @@ class NewtonSource:
     model
         newton.Model.
     now
-        Returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not contain their
-        time, and a step swaps them.
+        Function that returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not
+        contain their time, and a step swaps two states.
     forces
         The newton.Contacts of the solver's steps, and the array ``contact_f`` that the solver fills.
     """
@@ -115,7 +115,7 @@ class NewtonSource:
         return found
 
 
-newton = NewtonSource  # its name in carom.record
+newton = NewtonSource  # name of this source in `carom.record`
 
 
 def _plane(place: SingleArray, number: int) -> Plane:
@@ -143,8 +143,8 @@ class Newton(SteppedEngine):
     differences = (f"single precision, XPBD with {ITERATIONS} iterations",)
 
     def ensure_installed(self) -> None:
-        """Raise ExperimentError if Newton is not installed; keep Warp from reporting what it loads."""
-        with suppress(RecordingError):  # without Warp there is no Newton, which is reported below
+        """Raise ExperimentError if Newton is not installed; silence Warp's messages about loading."""
+        with suppress(RecordingError):  # without Warp there is no Newton; the missing package is reported below
             warp = engine_package("warp", "warp-lang")
             warp.config.log_level = warp.LOG_ERROR
         super().ensure_installed()
@@ -169,7 +169,7 @@ class Newton(SteppedEngine):
             problem.planes.normal, problem.planes.offset, problem.planes.name, problem.at_planes, strict=True
         ):
             equation = (*normal.tolist(), -float(offset))
-            # the mean of this coefficient and the bodies' equals the plane's own
+            # the mean of this coefficient and of the bodies' coefficient equals the plane's own coefficient
             mirrored = Coefficients(*(2.0 * np.array(own) - law).tolist())
             config = _config(engine, mirrored, problem.collides)
             builder.add_shape_plane(plane=equation, width=0.0, length=0.0, cfg=config, label=name)

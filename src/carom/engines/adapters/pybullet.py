@@ -38,7 +38,7 @@ class PyBulletSource:
     """The bodies of a physics server.
 
     The state of a body takes two calls, so a `Recorder` of 1000 bodies records every fifth frame by default. PyBullet
-    reports neither the time step nor the field: pass both, as they were set.
+    reports neither the time step nor the field, so both must be passed as they were set.
 
     Parameters
     ----------
@@ -86,7 +86,8 @@ class PyBulletSource:
             engine=named_version("pybullet"),
             mass=np.where(mass > 0.0, mass, 1.0),
             radius=radius,
-            inertia=np.where(mass > 0.0, own_inertia, SPHERE * radius**2),  # mass 0 marks a fixed body; it gets 1 kg
+            # PyBullet marks a fixed body by the mass 0; here it gets 1 kg
+            inertia=np.where(mass > 0.0, own_inertia, SPHERE * radius**2),
             names=[f"body {k}" if name in UNNAMED else name for k, name in enumerate(names)],
             fixed=mass == 0.0,
             judged=spheres,
@@ -119,7 +120,7 @@ class PyBulletSource:
         found = np.zeros(len(rows), CONTACT)
         ends = [[self._end_of.get(body, -1) for body in each] for each in (b, a)]
         found["i"], found["j"], found["point"], found["normal"], found["force"] = *ends, point, normal, push
-        # the normal points from B to A, and the friction acts on A
+        # PyBullet's normal points from B to A, and its friction acts on A
         found["friction"] = np.array(f)[:, None] * np.array(u) + np.array(g)[:, None] * np.array(v)
         return np.compress((found["i"] >= 0) & (found["j"] >= 0) & (found["i"] != found["j"]), found)
 
@@ -134,7 +135,7 @@ class ChangingPyBulletSource:
     def __init__(self, time_step: float, gravity: tuple[float, float, float], *others: Any) -> None:
         self._arguments = (time_step, gravity, *others)
         self._package, self._client, self._frames = engine_package("pybullet"), int(others[0]), 0
-        self._marked = 0  # bodies so far
+        self._marked = 0  # number of bodies marked so far
         self._ids: dict[int, int] = {}  # carom's id of each body, by its unique id on the server
         self._source: PyBulletSource | None = None  # the source of these bodies; None if there are none
         self._find()
@@ -189,7 +190,7 @@ def pybullet(
 ) -> PyBulletSource | ChangingPyBulletSource:
     """Return the source of a physics server; see `PyBulletSource`.
 
-    ``changing`` says whether bodies are added or removed while it is recorded. With ``changing``, carom marks the
+    ``changing`` says whether bodies are added or removed during the recording. With ``changing``, carom marks the
     bodies with user data, "carom".
     """
     kind = ChangingPyBulletSource if changing else PyBulletSource
@@ -197,7 +198,7 @@ def pybullet(
 
 
 def calls_per_frame(bodies: int) -> int:
-    """Return the number of steps per frame for which copying the states takes a small fraction of the time."""
+    """Return the number of steps per frame, so large that copying the states takes a small fraction of the time."""
     return min(SELDOM, 1 + bodies // SLOW)
 
 
@@ -214,13 +215,13 @@ def _is_sphere(package: Any, body: int, shapes: Any, client: int) -> bool:
 
 
 def _constrained(package: Any, client: int) -> list[int]:
-    """Return the bodies that constraints hold, such as joints that were created between them."""
+    """Return the bodies that constraints hold, for instance joints created between bodies."""
     numbers = [package.getConstraintUniqueId(k, client) for k in range(package.getNumConstraints(client))]
     return [body for number in numbers for body in package.getConstraintInfo(number, client)[0:3:2]]
 
 
 def _common_friction(package: Any, bodies: list[int], client: int) -> float | None:
-    """Return the friction coefficient that all contacts share, a product; None if bodies or links differ."""
+    """Return the friction coefficient (a product) that all contacts share; None if bodies or links differ."""
     if any(package.getNumJoints(body, client) for body in bodies):
         return None
     own = {package.getDynamicsInfo(body, BASE, client)[1] for body in bodies}

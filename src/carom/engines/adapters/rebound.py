@@ -1,8 +1,9 @@
 """REBOUND: its recorder, and the engine that `crosscheck` compares. REBOUND is an optional package, under the GPL.
 
 REBOUND integrates bodies that attract each other, or smooth hard spheres. Every integrator that can run the scene is
-compared: IAS15, which controls its error, and the integrators of constant steps, at several steps. The symplectic maps
-for one dominant body, WHFast, MERCURIUS and TRACE, get steps that are fractions of the shortest period about that body.
+compared: IAS15, which controls its error, and the integrators of constant steps, at several steps. WHFast, MERCURIUS
+and TRACE, the symplectic maps for one dominant body, get steps that are fractions of the shortest period about that
+body.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from carom.scene.units.system import WITHOUT, UnitSystem, units_of_rebound
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own constant differs in the fifth digit
 READ = ("x", "y", "z", "vx", "vy", "vz")  # names of the first numbers of a particle in memory
-ROW = np.dtype((np.void, 8 * len(READ)))  # a particle's READ as one item, copied six times as fast as six numbers
+# the numbers `READ` of a particle as one item, which is copied six times as fast
+ROW = np.dtype((np.void, 8 * len(READ)))
 
 
 class ReboundSource:
@@ -65,7 +67,7 @@ class ReboundSource:
         has_gravity = _setting_name(simulation, "gravity") != "none"
         periodic = _setting_name(simulation, "boundary") in ("periodic", "shear")
         roots = ("N_root_x", "N_root_y", "N_root_z")
-        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # true where no units were set
+        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # also true if no units were set
         self.model = Model(
             engine=named_version("rebound"),
             mass=mass,
@@ -158,14 +160,14 @@ class ChangingReboundSource:
 def rebound(simulation: Any, radius: float | None = None, *, changing: bool = False) -> Source:
     """Return the source of a rebound.Simulation; see `ReboundSource`.
 
-    ``changing`` says whether particles merge, come or go while it is recorded. With ``changing``, carom numbers the
+    ``changing`` says whether particles merge, come or go during the recording. With ``changing``, carom numbers the
     particles in their field ``ap``.
     """
     return ChangingReboundSource(simulation, radius) if changing else ReboundSource(simulation, radius)
 
 
 def _variational(simulation: Any) -> int:
-    """Return how many of the N particles are variational; 0 where these have a separate array, as in REBOUND 5.2."""
+    """Return how many of the N particles are variational; 0 if they have a separate array, as in REBOUND 5.2."""
     return 0 if hasattr(simulation, "particles_var") else int(getattr(simulation, "N_var", 0))
 
 
@@ -183,12 +185,12 @@ def _size_of(particle: Any) -> int:
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
-OLDEST = 5  # major version; earlier versions use other names for the settings of integrators
+OLDEST = 5  # oldest major version; earlier versions use other names for the settings of integrators
 ANY = "leapfrog"  # the setting that runs with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
 UNSYNCHRONISED = ("whfast", "mercurius")  # integrators whose steps end with a readable state only on request
 TOUCHING = "leapfrog, hard spheres"  # the only setting for scenes with contacts, at several steps
-SEED = 1  # seed of the random order of impacts in a step; by default, REBOUND takes it from the clock
+SEED = 1  # seed of the random order of impacts in a step; by default, REBOUND takes the seed from the clock
 PARTS = (20.0, 40.0, 80.0, 160.0)  # numbers of steps in the shortest period
 
 
@@ -241,7 +243,7 @@ class Rebound:
         refuse("rebound", lacks)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe the differences of the translated scene."""
+        """Describe how the translated scene differs from the original."""
         return ["hard spheres that bounce at the end of a step"] if require(scene).contact.modelled else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
@@ -302,7 +304,7 @@ class Rebound:
         )
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Return whether `follow` takes its samples from the ends of steps: where bodies touch."""
+        """Return whether `follow` takes its samples at the ends of steps, which it does if bodies touch."""
         return require(scene).contact.modelled
 
     def run(self, scene: Scene, setting: Setting) -> float:

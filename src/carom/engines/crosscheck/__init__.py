@@ -45,7 +45,7 @@ def crosscheck_command(
     force: Annotated[bool, typer.Option("-f", "--force", help="Start over and replace earlier results.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a scene in other engines: errors, cost, criteria, where each diverges from the reference, and the broken law.
+    """Run a scene in other engines: errors, cost, criteria, where each engine leaves the reference, the broken law.
 
     Results are kept; the same command continues where it stopped.
     """
@@ -128,7 +128,7 @@ def _parts_of_several(
     rows = [(name, k, run) for name, document in documents.items() for k, run in enumerate(document["runs"])]
     yield ShownTable(columns, rows, keys=2)
     for name in documents:
-        if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the bug report behind the scene
+        if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the scene's text links to a bug report
             yield f"{name}: {scenes[name].title} ({link[1]})"
     for name, reason in refused.items():
         yield f"{name}: {reason}"
@@ -198,7 +198,7 @@ def _error(run: dict[str, Any], name: str) -> str:
 
 
 def _criteria(run: dict[str, Any]) -> str:
-    """Describe the number of met criteria, and the missed or unjudged ones."""
+    """Describe the number of met criteria, and name the missed and the unjudged criteria."""
     criteria = run.get("criteria") or []
     if not criteria:
         return "none"
@@ -217,7 +217,7 @@ def _extent(reference: dict[str, Any], units: UnitSystem) -> str:
 
 
 def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitSystem) -> str:
-    """Describe where a run diverges from the reference; "nowhere" if it was compared up to the end of the scene."""
+    """Describe where a run diverges from the reference; "nowhere" if it does not, up to the end of the scene."""
     if run["status"] != "measured" or "parting" not in run:
         return run["status"] if run["status"] != "measured" else ""
     parting = run["parting"]
@@ -232,7 +232,7 @@ def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitS
 
 
 def _energy(energy: dict[str, float | None]) -> str:
-    """Describe the change of the energy and, for another engine with contacts, the part that no contact explains."""
+    """Describe the change of the energy; for another engine with contacts, also the part outside of contacts."""
     change, other = energy.get("change"), energy.get("without_contact")
     if change is None:
         return ""

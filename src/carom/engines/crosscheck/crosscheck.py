@@ -1,4 +1,4 @@
-"""Runs a scene in other engines, and finds where each diverges from the reference and which law it violates there.
+"""Runs a scene in other engines, and finds where each engine leaves the reference, and which law it violates there.
 
 Each run is first recorded and examined: `carom.record` audits every step, and the scene's [expect] states the criteria.
 `Study` then measures the costs of all runs, in rotation.
@@ -40,14 +40,15 @@ class Examination:
     """The result of following one run step by step: criteria, violated laws, divergence from the reference."""
 
     name: str
-    criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, judged, met (None if not judged)
+    # criteria of [expect]: name, bound, limit, measured, judged, met (None if not judged)
+    criteria: list[dict[str, Any]]
     laws: dict[str, dict[str, Any]]  # violated laws, with the first violating frame and the number of such frames
     parting: dict[str, Any] | None  # see `Parting`; None without a divergence in the compared time
     recording: str  # name of the recording in the results' folder
     energy: dict[str, float | None]  # energy changes over the energy scale; see `energy_changes`
 
 
-# prefixes of criteria that only a run of carom can judge, since samples have no spins
+# prefixes of criteria that only runs of carom can meet or miss, since samples have no spins
 _OF_CAROM = ("contact_audit", "dissipation_error", "warned_", "angular_velocity_")
 
 
@@ -73,8 +74,8 @@ class _LastSample:
 def energy_changes(path: Path) -> dict[str, float | None]:
     """Return the changes of the energy in a recording, over the energy scale.
 
-    ``change`` is the change of the total. For another engine, ``in_contact`` is the change while bodies touched, caused
-    by contacts and errors together; ``without_contact`` is the remaining change, which is an error.
+    ``change`` is the change of the total energy. For another engine, ``in_contact`` is the change while bodies touched,
+    caused by contacts and errors together; ``without_contact`` is the remaining change, which is an error.
     """
     energy = Recording.open(path).summary()["energy"]
     found = {"change": energy["final"] - energy["initial"]}
@@ -96,8 +97,8 @@ def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
     }
 
 
-# Several processes follow runs of engines at the same time, since nothing is timed meanwhile.
-MIN_RUNS_FOR_PROCESSES = 8  # with fewer runs, starting processes takes longer than they save
+# Several processes follow runs of engines at the same time; nothing is timed meanwhile.
+MIN_RUNS_FOR_PROCESSES = 8  # with fewer runs, starting processes costs more time than they save
 _TICK = 60.0  # s, the longest single wait for results
 
 
@@ -107,8 +108,8 @@ class CrosscheckTask:
 
     scene: Scene
     setting: Setting
-    path: Path  # of its recording
-    limit: float  # s of CPU time
+    path: Path  # path of its recording
+    limit: float  # s, limit of CPU time
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,11 +199,11 @@ class Crosscheck:
     """
 
     scene: Scene
-    engines: list[Engine]  # to compare carom with
+    engines: list[Engine]  # engines to compare carom with
     folder: Path  # folder of the results; it may hold results of an interrupted crosscheck of the same scene
-    threads: int | None = None  # of carom's kernels
+    threads: int | None = None  # number of threads for carom's kernels
     force: bool = False  # whether to start over
-    limit: float = math.inf  # s of CPU time for an engine, and s for the reference; a longer run is stopped
+    limit: float = math.inf  # time limit: s of CPU time for an engine, s for the reference; a longer run is stopped
     runs: Runs = field(default_factory=lambda: Runs(1))
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
     examinations: dict[str, Examination] = field(default_factory=dict)  # examinations by the names of their settings
@@ -317,8 +318,8 @@ class Crosscheck:
             end = scene.time.duration if whole else seen.extremes.kinetic.time
             verdicts = judge(scene, seen.extremes, end, _LastSample(seen.trajectory))
             criteria = [
-                # A run that ended early might have exceeded a limit later. Where bodies touched, only a lower bound of
-                # the integrator's error is known: the energy that contacts absorbed cannot be separated from it.
+                # A run that ended early might have exceeded a limit later. If bodies touched, only a lower bound of the
+                # integrator's error is known: the energy that contacts absorbed cannot be separated from it.
                 _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
                 for v in verdicts
                 if not v.name.startswith(_OF_CAROM)

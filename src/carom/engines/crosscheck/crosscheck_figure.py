@@ -21,7 +21,7 @@ from carom.scene.wording import in_figure
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # colours of the engines, in their order
-WIDEST = 3.0  # points, width of the first line; later lines are thinner, so that they do not hide it
+WIDEST = 3.0  # points, width of the first line; later lines are thinner, so that they do not hide earlier ones
 STYLES = ("-", "--", ":", "-.")  # line styles of an engine's settings, in their order
 MOST_IMPACTS = 40  # most impacts that are marked; more would fill the figure
 
@@ -82,6 +82,6 @@ def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Sett
 
 
 def colours_of(engines: Iterable[str]) -> dict[str, str]:
-    """Return the colours of the engines by name, in the order of their first use; carom has an empty name."""
+    """Return the engines' colours by name, in the order in which engines first occur; carom's name is empty."""
     names = [name for name in dict.fromkeys(engines) if name]
     return {"": OWN_COLOUR} | {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}

@@ -17,7 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.wording import Names
 
 PARTED = 0.01  # distance, in sizes of the system, at which runs have diverged
-OTHER_OUTCOME = 0.01  # difference of velocities after an impact, in speeds of the system, that makes another outcome
+OTHER_OUTCOME = 0.01  # difference of velocities after an impact, in speeds of the system, from which outcomes differ
 EARLIER = 2.0  # steps by which an impact of an engine may precede the same impact of the reference
 LATER = 40.0  # steps after the reference's impact within which a soft contact ends
 SAME_IMPACT = 0.02  # largest time between the same impact in two runs, as a fraction of the duration
@@ -57,9 +57,9 @@ class Parting:
     """The divergence of a run from the reference."""
 
     time: float  # s, time of the first sample that is too far away
-    impact: int | None  # number in carom's recording of the first impact with another outcome; 0 if there is none
-    between: str  # names of its bodies
-    impact_time: float  # s, in the reference
+    impact: int | None  # number, in carom's recording, of the first impact with another outcome; 0 if there is none
+    between: str  # names of the bodies of this impact
+    impact_time: float  # s, time of this impact in the reference
     laws: list[str]  # laws that are violated from that impact on
 
 
@@ -73,10 +73,10 @@ def parting_of(
 ) -> Parting | None:
     """Return the divergence of a run from a reference up to the reference's horizon; None without one.
 
-    The run has steps of ``dt`` s. ``broken`` has the times (s) and laws of the frames that violate one, in order, and
-    ``numbered`` the impacts of carom's own run. The outcomes of these impacts are compared, unless the reference is
-    exact and has impacts of its own. First contacts do not suffice: a pair that touches at the start has no impact
-    then, but may have impacts later.
+    The run has steps of ``dt`` s. ``broken`` lists the times (s) of violating frames, in order, with the violated laws;
+    ``numbered`` are the impacts of carom's own run. The outcomes of these impacts are compared, unless the reference is
+    exact and has impacts of its own. Comparing first contacts would not suffice: a pair that touches at the start has
+    no impact then, but may have one later.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)
@@ -111,8 +111,8 @@ def _first_other_outcome(
     """Return the first of ``before`` impacts with another outcome in a run; None without impacts.
 
     The velocities of an impact's bodies are compared at the last sample before their next impacts. If the next impacts
-    come before a soft contact could have ended, their outcomes must differ, too. If no velocity differs, return the
-    last impact: the run diverges by a delayed impact, or in the flight after it.
+    come before a soft contact could have ended, the outcomes of these must also differ. If no velocity differs, return
+    the last impact: the run diverges by a delayed impact, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]
