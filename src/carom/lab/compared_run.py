@@ -1,9 +1,10 @@
 """The data by which runs are compared: states at common times, first contacts and extremes.
 
-Common times fall within steps, and steps cut there would change the run. Within a step, a body therefore flies freely,
-with a correction that leads to its state at the end of the step: a polynomial of degree five, or three if the
-integrator computes no forces at the ends. A body in contact is corrected by a constant acceleration, since contacts are
-held at the mean velocity of a step. After an impact, a body flies freely until its next one.
+Common times fall within steps, and cutting steps at these times would change the run. Within a step, a body is
+therefore assumed to fly freely, with a correction that leads to its state at the end of the step. The correction is a
+polynomial of degree five, or of degree three if the integrator computes no forces at the ends. A body in contact is
+corrected by a constant acceleration, since contacts are held at the mean velocity of a step. After an impact, a body
+flies freely until its next impact.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ from carom.state.frame import Frame
 TELLING = 5.0  # s between two lines of progress
 STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters
 SAMPLES = 200  # times at which trajectories are compared
-EARLIER = (3.0 - 5.0**0.5) / 2.0  # fraction of a sampling interval; the golden section avoids simple ratios
-LATE = 0.9  # fraction of the samples; a body that comes to rest later is not expected to
-ROUNDINGS = 8  # roundings of a coordinate by which a held body's drift may differ from its mean velocity
+# distance of a sample from a round time, in sampling intervals; the golden section avoids simple ratios
+EARLIER = (3.0 - 5.0**0.5) / 2.0
+LATE = 0.9  # fraction of the samples after which contacts are late in the run
+ROUNDINGS = 8  # number of roundings of a coordinate by which a held body's drift may differ from its mean velocity
 MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
@@ -45,7 +47,7 @@ class Setting:
 
     name: str  # a name such as "integrator = euler, steps 2 times as long"
     overrides: tuple[str, ...]  # as given to ``--set``
-    threads: int | None = None  # None for the study's
+    threads: int | None = None  # number of threads; None for the study's number
     engine: str = ""  # name of another engine whose own keys `overrides` has; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
@@ -70,11 +72,11 @@ class RunStoppedError(ExperimentError):
 
 @dataclass(frozen=True, slots=True)
 class RunBound:
-    """The bound of a run."""
+    """The limits at which a run is stopped."""
 
     steps: float = math.inf  # limit on steps, which is the same on every machine
-    seconds: float = math.inf  # of CPU time
-    option: str = "--limit"  # that set the seconds
+    seconds: float = math.inf  # limit on CPU time, s
+    option: str = "--limit"  # name of the option that set the seconds
 
 
 class RunGuard:
@@ -114,13 +116,14 @@ class Trajectory:
     velocity: FloatArray  # (K, n, 3) m/s
     pair: IntArray  # (m, 2) bodies that touched, in the order of their first contacts; j ≥ n is plane j - n
     met: FloatArray  # (m,) s, the time of each pair's first contact
-    energy_error: float  # largest |integration error|, or energy added by contacts, over the energy scale
-    energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
-    momentum_error: float  # largest error of the momentum over its scale
-    angular_momentum_error: float  # largest error of the angular momentum over its scale
-    overlap: float  # deepest overlap over the smaller radius; NaN if no contact is possible
-    sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can be at rest
-    impacts: int  # contacts that closed faster than the rest speed, summed over the steps
+    energy_error: float  # largest |integration error|, or energy added by contacts, relative to the energy scale
+    energy_gain: float  # largest rise of the total energy above its previous minimum, relative to the energy scale
+    momentum_error: float  # largest error of the momentum, relative to its scale
+    angular_momentum_error: float  # largest error of the angular momentum, relative to its scale
+    overlap: float  # deepest overlap relative to the smaller radius; NaN if no contact is possible
+    # mean overlap, relative to the smaller radius, of contacts late in the run; NaN if nothing can be at rest
+    sinking: float
+    impacts: int  # number of contacts that closed faster than the rest speed, summed over the steps
     steps: int
     frames: int  # frames in a recording of the run; 0 for a reference, which is not recorded
     # for exact references only: (k, 2) both ends of every impact, and its (k,) time in s
@@ -137,7 +140,7 @@ class Trajectory:
         impacts: int,
         **struck: Any,
     ) -> Trajectory:
-        """Return the trajectory of an exact reference: without steps, overlaps and measured errors.
+        """Return the trajectory of an exact reference, which has no steps, overlaps or measured errors.
 
         ``met`` is the time (s) of the first contact of each pair, ``position`` and ``velocity`` are (K, n, 3), and
         ``struck`` may have ``struck`` and ``struck_at``.
@@ -170,7 +173,7 @@ class Trajectory:
 
     @property
     def digest(self) -> str:
-        """A digest of the steps and states: two runs with the same digest are equal, bit for bit."""
+        """A digest of steps and states: runs with equal digests are equal, bit for bit."""
         found = hashlib.sha256(str(self.steps).encode())
         for states in (self.position, self.velocity):
             found.update(np.ascontiguousarray(states + 0.0).tobytes())  # + 0 turns -0 into 0
@@ -196,7 +199,7 @@ def sample_times(scene: Scene) -> FloatArray:
     """Return the times at which trajectories of a scene are compared, (K,) s, up to and including its duration.
 
     The last fraction is exactly 1, so that no time is rounded past the end of the run. The other times are not round
-    numbers: impacts often happen at round times, where a velocity has two values.
+    numbers: impacts often happen at round times, and a velocity has two values at an impact.
     """
     count = MORE_SAMPLES if scene.count <= MORE_SAMPLES_UP_TO else SAMPLES
     fractions = (np.arange(1, count + 1) - EARLIER) / count
@@ -222,7 +225,7 @@ def follow(
     guard = RunGuard(bound, tell)
     watch = _Watch(space, times, guard)
     frames = space.run(schedule=watch)
-    next(frames)  # the start
+    next(frames)  # skips the frame at the start
     for frame in frames:
         if watch.is_over:
             reached = space.scene.unit_system.text(space.time, TIME)
@@ -266,7 +269,7 @@ class _Watch(Watch):
         self._recorded = every(interval) if interval else None  # None: every step
         self._frames, self._last_recorded = 1, True  # the initial frame
         self._ends = len(space.state) + len(space.planes)
-        self._overlaps: list[FloatArray] = []  # overlaps over the smaller radius, late in the run
+        self._overlaps: list[FloatArray] = []  # overlaps relative to the smaller radius, late in the run
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the previous step
         self._began = 0.0  # s, start of the previous step
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
@@ -321,7 +324,7 @@ class _Watch(Watch):
 
     @property
     def sinking(self) -> float:
-        """Mean overlap over the smaller radius of the contacts late in the run; 0 if there was none."""
+        """Mean overlap, relative to the smaller radius, of contacts late in the run; 0 if there was none."""
         overlaps = np.concatenate(self._overlaps) if self._overlaps else np.empty(0)
         return float(overlaps.mean()) if len(overlaps) else 0.0
 
@@ -331,7 +334,7 @@ class _Watch(Watch):
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
         if self._space.has_solution:
-            # the integrator's own solution within its last step
+            # the samples come from the integrator's own solution within its last step
             while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
                 solution = self._space.between(float(self._times[len(self.position)]))
                 assert solution is not None
@@ -348,14 +351,14 @@ class _Watch(Watch):
         way = frame.position - x
         if self._space.box is not None:
             way = minimum_images(way, self._space.box)
-        way_end, v_end = flight.at(dt)  # of bodies without impacts
+        way_end, v_end = flight.at(dt)  # end of the path of bodies without impacts
         missing, ahead = way - way_end, frame.velocity - v_end
-        # an impact at the end of the step changes the velocity there; otherwise differences are rounding
+        # an impact at the end of the step changes the final velocity; otherwise differences are rounding
         gained = 2.0 / dt * missing
         gained = np.where(np.abs(gained - ahead) <= ROUNDINGS * np.spacing(np.abs(x)) / dt, ahead, gained)
         none = np.zeros_like(v)
         forces = (none, flight.behind(dt, ahead)) if self._space.ends_with_forces else None
-        flown = 0  # impacts so far
+        flown = 0  # number of impacts so far
         while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
             h = self._times[len(self.position)] - begin
             while flown < len(impacts) and impacts.time[flown] < h:
@@ -429,5 +432,5 @@ def between(
 
 
 def write_document(path: Path, document: dict[str, Any]) -> None:
-    """Write the document of a study, from which an interrupted study continues."""
+    """Write the document from which an interrupted study continues."""
     write_whole(path, json.dumps(document, indent=1, ensure_ascii=False))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
     from carom.scene.wording import Names
 
-ROWS = 12  # rows in the table of the growing difference
+ROWS = 12  # number of rows in the table of the growing difference
 KEYS = 50  # most scene keys with different values that are printed; --json has all
 TURNED = 1e-3  # rad, smallest angle between two forces that is printed
 LONGEST_VALUE = 60  # characters of a printed value of a scene key; two fit into a row of a wide terminal
@@ -41,8 +41,8 @@ def diff_command(
 ) -> None:
     """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
 
-    Impacts of the same two bodies are compared in order of time. A moment of A adds a list of the bodies that are
-    farthest apart at that moment.
+    Impacts of the same two bodies are compared in order of time. With a moment of A, the bodies that are farthest apart
+    at that moment are listed, too.
     """
     from dataclasses import replace
 
@@ -213,7 +213,7 @@ def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSyste
 
 
 def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
-    """Describe an impact: its numbers in both runs, and the differences between them, B - A."""
+    """Describe an impact: its numbers in both runs, and the differences B - A of its data."""
     a, b = pair.a, pair.b
     one = a or b
     assert one is not None, "only one has it"

@@ -44,7 +44,8 @@ class OtherLife:
 
     body: int
     name: str
-    spans: tuple[tuple[float, float] | None, tuple[float, float] | None]  # s; None in a run without the body
+    # begin and end (s) in each recording; None in a recording without the body
+    spans: tuple[tuple[float, float] | None, tuple[float, float] | None]
 
     def text(self, units: UnitSystem) -> str:
         """Describe when the body exists in each recording."""
@@ -85,7 +86,7 @@ def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
 
 # The first impact at which two recordings differ.
 
-MOST_SKIPPED = 1000  # most unmatched impacts of a pair in one run; with more, the last impacts are not matched
+MOST_SKIPPED = 1000  # most unmatched impacts of a pair in one run; if there are more, the last impacts are not matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -110,7 +111,7 @@ class ImpactPair:
 
     @property
     def time(self) -> float:
-        """The earlier of the impact's times in the two recordings, in s."""
+        """The time (s) of the impact, in the recording in which it is earlier."""
         return min(impact.time for impact in (self.a, self.b) if impact is not None)
 
 
@@ -118,14 +119,15 @@ class ImpactPair:
 class ImpactDivergence:
     """The impacts of two recordings, compared one by one.
 
-    Impacts of the same two bodies are matched in order; if one run has more of them, the match minimises the
+    Impacts of the same two bodies are matched in order; if one run has more impacts, the match minimises the
     differences of times.
     """
 
-    counts: tuple[int, int] | None  # impacts up to the last common frame; None without such a frame
-    compared: int  # impacts in both recordings
+    counts: tuple[int, int] | None  # numbers of impacts up to the last common frame; None without such a frame
+    compared: int  # number of impacts in both recordings
     first: ImpactPair | None  # the first matched pair of impacts that differs
-    alone: ImpactPair | None  # the first impact that only one run has; None if the other run did not record all
+    # the first impact that only one run has; None if the other run did not record all its impacts
+    alone: ImpactPair | None
 
     @property
     def same(self) -> bool:
@@ -134,7 +136,7 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts in both recordings; None if one records no impacts, as another engine's recording may."""
+    """Compare the impacts in both recordings; None if a recording has no impacts, like some of other engines."""
     if not (a.records_contacts and b.records_contacts) or a.engine or b.engine:
         return None
     numbers = impacts_by_number(a)[0], impacts_by_number(b)[0]
@@ -143,7 +145,7 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
     times = tuple(table["time"].to_numpy() for table in tables)
     rows = _matched(ends, times)
     common = [table.take(pa.array(row)) for table, row in zip(tables, rows, strict=True)]
-    # times may differ by the timeline's unit, scaled nanoseconds
+    # times may differ by the unit of the timeline: scaled nanoseconds
     scales = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
     rounding = 0.0 if scales[0] == scales[1] else max(scales)
     differs: BoolArray = np.abs(np.subtract(*(table["time"].to_numpy() for table in common))) > rounding
@@ -183,7 +185,7 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 
 
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
-    """Match each time of the shorter list, in order, with a time of the longer; minimise the sum of differences.
+    """Match each time of the shorter list, in order, with a time of the longer list; minimise the sum of differences.
 
     The method is dynamic programming over the number of skipped times. If a list has more than `MOST_SKIPPED` surplus
     times, its last times are ignored.
@@ -228,7 +230,7 @@ def _alone(
 
 
 def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
-    """Count all impacts, recorded or not, up to the last frame with the same time in both recordings."""
+    """Count all impacts, recorded or not, up to the last frame that has the same time in both recordings."""
     frames = [recording.fingerprints() for recording in (a, b)]
     times = [table["time"].to_numpy() for table in frames]
     end = min(time[-1] for time in times) * (1.0 + SAME_TIME)
@@ -245,19 +247,19 @@ def _impact(table: pa.Table, numbers: IntArray, row: int) -> Impact:
     return Impact(int(numbers[row]), (values["i"], values["j"]), *measured)
 
 
-MOST_APART = 3  # bodies that are named
+MOST_APART = 3  # most bodies that are named
 
 
 @dataclass(frozen=True, slots=True)
 class MomentApart:
     """The difference in one common frame, and the bodies that are farthest apart there."""
 
-    step: int  # of the first recording
+    step: int  # step in the first recording
     time: float  # s
     rms: float  # m, rms distance between counterparts
-    energy: float  # J, second minus first
+    energy: float  # J, energy of the second run minus the first
     bodies: tuple[int, ...]  # bodies that are farthest apart, the farthest first; none if all positions are the same
-    apart: tuple[float, ...]  # m
+    apart: tuple[float, ...]  # m, their distances
 
 
 def moment_apart(matched: FrameAlignment, curve: DistanceCurve, time: float, shown: Sequence[int]) -> MomentApart:
@@ -278,9 +280,9 @@ class Diff:
     paths: tuple[Path, Path]
     scene: dict[str, tuple[Any, Any]]  # keys that differ; None where a scene omits the key
     defaults: dict[str, Any]  # values of keys that one scene omits
-    environment: dict[str, tuple[Any, Any]]  # differences in versions, machine and command
+    environment: dict[str, tuple[Any, Any]]  # versions, machine and command, if they differ
     frames: tuple[int, int]
-    matched_by: str  # "step", or "sim_time" where dt differs
+    matched_by: str  # "step", or "sim_time" if dt differs
     curve: DistanceCurve
     divergence: Divergence | None
     verdict: DiffVerdict
@@ -302,7 +304,7 @@ def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
     Raises
     ------
     RecordingError
-        If they have no frame in common, do not show the same bodies, show several runs, or cannot be read.
+        If the recordings have no frame in common, show different bodies or several runs, or cannot be read.
     """
     for recording in (a, b):
         recording.refuse_overlay()
@@ -395,7 +397,7 @@ def _written_otherwise(a: Recording, b: Recording, differing: Mapping[str, tuple
 def _validated(recording: Recording) -> Scene | None:
     try:
         return scene_from_text(recording.scene_toml, f"the scene in {recording.path}", bodies=RecordedBodies(recording))
-    except SceneError:  # of another version
+    except SceneError:  # the scene belongs to another version
         return None
 
 

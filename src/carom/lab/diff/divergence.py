@@ -1,7 +1,7 @@
 """The first difference between two runs, its growth, and its cause.
 
 Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A difference with another
-cause, such as a bug or a different scene, exceeds the bound on grown round-off, or grows as a power of time.
+cause, such as a bug or a different scene, exceeds the bound for grown round-off, or grows as a power of time.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from carom.scene.units.system import SI, UnitSystem
 
 _SATURATED = 0.1  # difference, in sizes of the system, beyond which growth is no longer free
 _POINTS, _FACTOR = 5, 10.0  # fewest frames, and smallest growth, from which a rate is fitted
-_ROUNDING = 16 * 2.0**-53  # relative rounding of a coordinate by the few operations on it in a step
-_GRAZING = 1000.0  # mean free path over radius: a grazing impact multiplies a difference by as much at once
+_ROUNDING = 16 * 2.0**-53  # relative rounding error of a coordinate by the few operations on it in a step
+_GRAZING = 1000.0  # ratio of mean free path to radius: a grazing impact multiplies a difference by this factor at once
 _SURE = 3.0  # standard errors by which a significant rate exceeds 0
 _LARGEST_EXPONENT = 700.0  # exp overflows above 709.78
 SAME_TIME = 1e-12  # relative tolerance; times are sums of dt, with this round-off after thousands of steps
@@ -44,11 +44,11 @@ class DistanceCurve:
     time: FloatArray  # (k,) s
     rms: FloatArray  # (k,) m, rms distance between counterparts
     floor: FloatArray  # (k,) m, possible rounding of recorded positions
-    energy: FloatArray  # (k,) J, energy of the second run minus that of the first
-    differs: BoolArray  # (k,) whether fingerprints, or positions where a run has none, differ
+    energy: FloatArray  # (k,) J, energy of the second run minus energy of the first
+    differs: BoolArray  # (k,) whether fingerprints differ, or positions if a run has no fingerprints
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
-    of_bits: bool = True  # whether fingerprints were compared, which is not possible with other engines
+    of_bits: bool = True  # whether fingerprints were compared, which is not possible for other engines
 
     @property
     def seen(self) -> BoolArray:
@@ -63,8 +63,8 @@ class Divergence:
     rate: float  # 1/s, λ
     standard_error: float  # 1/s, standard error if the points were independent
     doubling_time: float  # s
-    begin: float  # s
-    end: float  # s
+    begin: float  # s, start of the growth
+    end: float  # s, end of the growth
     points: int
     factor: float  # factor by which the difference grew in that time
     power: float  # exponent p of the best power law t^p
@@ -77,13 +77,13 @@ class DiffVerdict:
 
     kind: str  # kind of the divergence: "same", "start", "jump", "chaos", "drift" or "small"
     text: str
-    first: int | None  # index of the first frame with other bits
+    first: int | None  # index of the first frame whose bits differ
     jump: float  # m, difference at that frame; 0 if it is below the resolution
     allowed: float  # m, bound of the difference that round-off can cause
 
 
 def divergence_of(curve: DistanceCurve) -> Divergence | None:
-    """Fit the growing part of a curve: from the first visible difference to the largest below saturation."""
+    """Fit the growing part of a curve: from the first visible difference to the largest difference below saturation."""
     seen = np.flatnonzero(curve.seen & np.isfinite(curve.rms))
     if len(seen) == 0:
         return None
@@ -113,7 +113,7 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
-    # bounds the growth (m) of round-off since the last identical frame
+    # upper bound (m) of the growth of round-off since the last identical frame
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
     rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
@@ -177,7 +177,7 @@ class FrameAlignment:
     """Frames matched by step if equal steps have equal times up to the end, otherwise by time.
 
     Matching by time interpolates the second recording linearly between its frames. Recordings without a common frame,
-    or of other bodies, are refused.
+    or with different bodies, are refused.
     """
 
     def __init__(self, a: Recording, b: Recording) -> None:
@@ -194,7 +194,7 @@ class FrameAlignment:
         self._cell = a.cell
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
         self.by = "step"
-        # With different steps, frames have equal numbers and times at the start only, or by chance.
+        # If steps differ, frames have equal numbers and times only at the start, or by chance.
         times, end = self._a.time[first], min(self._a.time[-1], self._b.time[-1])
         gap = _GAPS_AT_THE_END * np.diff(times).max(initial=0.0)
         same = len(first) > 0 and np.allclose(times, self._b.time[second], rtol=SAME_TIME, atol=0.0)
@@ -212,7 +212,7 @@ class FrameAlignment:
     def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
         """Return both recordings' positions (m), and the largest rms difference (m) that rounding explains.
 
-        Where bodies come and go, only the bodies that exist in both frames are included.
+        If bodies come and go, only the bodies that exist in both frames are included.
         """
         one, other, rounding = self.everywhere(k)
         if self._common is None:
@@ -262,7 +262,7 @@ class FrameAlignment:
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return frame i of the first, frame j of the second recording, and the place of i from j - 1 (0) to j (1)."""
+        """Return frame i of the first and j of the second recording, and where i lies between j - 1 (0) and j (1)."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
@@ -275,13 +275,13 @@ class FrameAlignment:
         if cell is None:
             return other
         apart = other - one
-        return other + (minimum_images(apart, cell) - apart)  # returns exactly `other` where that is nearest
+        return other + (minimum_images(apart, cell) - apart)  # gives exactly `other` if that is the nearest image
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the interpolation error at the midpoint by an eighth of the acceleration times h².
 
         Frames need not be equally spaced. The acceleration is at most twice the larger second difference at both ends:
-        three frames understate the curvature of an orbit between them.
+        the second difference of three frames understates the curvature of an orbit between them.
         """
         time, largest = self._b.time, 0.0
         h = time[j] - time[j - 1]
@@ -301,7 +301,7 @@ class FrameAlignment:
 
 
 class _Frames:
-    """The frames of one recording, with the first ``count`` bodies, or with all if it is None."""
+    """The frames of one recording, with the first ``count`` bodies; None means all bodies."""
 
     def __init__(self, recording: Recording, count: int | None) -> None:
         self._count = count
@@ -349,9 +349,9 @@ class FirstContact:
     """A contact of the first bodies that differ."""
 
     ends: tuple[int, int]  # numbers from n on are planes
-    forces: tuple[float | None, float | None]  # N, forces along the normal; None where a run lacks this contact
-    friction: tuple[float | None, float | None]  # N
-    turned: float  # rad, angle between the directions of friction; 0 where either is unknown
+    forces: tuple[float | None, float | None]  # N, forces along the normal; None if a run lacks this contact
+    friction: tuple[float | None, float | None]  # N, magnitudes of friction
+    turned: float  # rad, angle between the directions of friction; 0 if a direction is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,9 +360,9 @@ class FirstBits:
 
     step: int
     time: float  # s
-    bodies: list[int]  # whose states differ
+    bodies: list[int]  # numbers of the bodies whose states differ
     arrays: list[str]  # names of the arrays that differ
-    contact: FirstContact | None  # the contact of these bodies whose force differs most; None if none is known
+    contact: FirstContact | None  # the contact of these bodies whose force differs most; None if no contact is known
     laws: list[str]  # warnings of either run about broken laws in this step
 
 
@@ -412,7 +412,7 @@ def _first_contact(a: Recording, b: Recording, time: float, bodies: list[int]) -
 
 
 def _forces(run: Recording, time: float) -> dict[tuple[int, int], FloatArray]:
-    """Return the normal force and friction vector of each contact, (4,) N; in carom's own, only its magnitude."""
+    """Return normal force and friction vector of each contact, (4,) N; carom's runs have only friction's magnitude."""
     row = frame_of(run, time) if run.engine else None
     if row is None:
         rows = run.contacts(time).to_pylist()

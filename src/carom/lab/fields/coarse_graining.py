@@ -1,9 +1,9 @@
 """Coarse-graining on a grid: bodies and contacts become densities that are constant in each cell.
 
-Goldhirsch, Granular Matter 12, 239 (2010), with the function φ(r - r') that is 1/V where r' is in the cell of r, whose
-volume is V, and 0 elsewhere. No other φ does without bodies beyond a wall and makes sums over the cells exactly equal
-to sums over the bodies. A branch vector, along which a contact transfers momentum, counts in each cell with the
-fraction of its length in that cell, which is the integral of φ along the vector.
+The method is Goldhirsch's, Granular Matter 12, 239 (2010). Its function φ(r - r') is 1/V if r' is in the cell of r,
+whose volume is V, and 0 elsewhere. No other φ both needs no bodies beyond a wall, and makes sums over the cells exactly
+equal to sums over the bodies. Contacts transfer momentum along branch vectors. A branch vector counts in each cell with
+the fraction of its length that lies in the cell: this is the integral of φ along the vector.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Grid:
     cell: FloatArray  # (3,) m, edges of each cell
     shape: tuple[int, int, int]  # cells along x, y and z
     periodic: tuple[bool, bool, bool]
-    shear: Shear | None = None  # of the periodic box
+    shear: Shear | None = None  # shear of the periodic box
 
     @cached_property
     def count(self) -> int:
@@ -48,7 +48,7 @@ class Grid:
         return np.asarray(self.origin[axis] + self.cell[axis] * (np.arange(self.shape[axis]) + 0.5))
 
     def shift(self, time: FloatArray) -> FloatArray:
-        """Return the displacement (m) along the flow of the next image of a sheared box, at some times (s)."""
+        """Return how far (m) the next image of a sheared box is displaced along the flow, at some times (s)."""
         shear = self.shear
         assert shear is not None, "only a sheared box has images that move"
         flow, gradient = shear.axes
@@ -59,7 +59,7 @@ class Grid:
         """Return the numbers of the cells that contain points, (k, 3) m, at times (k,) s; bodies on a face count once.
 
         If a body overlaps a wall, its centre may be outside a face that does not repeat; it then counts in the cell
-        inside.
+        inside that face.
         """
         place = point - self.origin
         if self.shear is not None:
@@ -78,20 +78,21 @@ class Grid:
         Parameters
         ----------
         start, reach
-            m, (k, 3), the beginnings of the branch vectors, and the vectors from there to their ends.
+            Beginnings of the branch vectors, and the branch vectors, (k, 3) m.
         time
-            s, (k,), time of each vector.
+            Time of each vector, (k,) s.
 
         Returns
         -------
         branch, cell, fraction
-            (p,) of each piece: the row of its branch, the number of its cell, and its part of the length.
+            For each piece, (p,): the row of its branch, the number of its cell, and its fraction of the length.
         """
         ends = [np.zeros(len(start)), np.ones(len(start))]
         for axis in range(3):
             first = (start[:, axis] - self.origin[axis]) / self.cell[axis]
             offsets = [np.zeros(len(start))]
-            if self.shear is not None and axis == self.shear.axes[0]:  # the cells of both images along the gradient
+            # both images along the gradient have cells of their own
+            if self.shear is not None and axis == self.shear.axes[0]:
                 moved = self.shift(time) / self.cell[axis]
                 offsets += [moved, -moved]
             for offset in offsets:
@@ -105,7 +106,7 @@ class Grid:
 
 
 def _crossings(first: FloatArray, reach: FloatArray) -> list[FloatArray]:
-    """Return where lines cross whole numbers, as fractions of their reach; lines with fewer crossings have ones."""
+    """Return where lines cross whole numbers, as fractions of their reach, padded with ones."""
     low = np.floor(np.minimum(first, first + reach)) + 1.0
     most = int(np.max(np.ceil(np.maximum(first, first + reach)) - low, initial=0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -131,20 +132,20 @@ class Branches(NamedTuple):
         share: FloatArray,
         moves: tuple[BoolArray, BoolArray],
     ) -> Branches:
-        """Leave out the part of each line in a fixed body, which is a wall (Weinhart et al. 2012).
+        """Leave out the part of each line inside a fixed body, since that body is a wall (Weinhart et al. 2012).
 
         Parameters
         ----------
         start, whole
-            m, (k, 3), the centre of body i, and the vector to that of body j, or to the surface of a plane or wall.
+            Centre of body i, (k, 3) m, and vector to the centre of body j, or to the surface of a plane or wall.
         impulse
-            N s, (k, 3), on body j.
+            Impulse on body j, (k, 3) N s.
         time
-            s, (k,).
+            Time of each line, (k,) s.
         share
-            (k,) part of the vector that is inside of body i; 1 at a plane or wall.
+            Fraction of the vector inside body i, (k,); 1 at a plane or wall.
         moves
-            (k,) each, whether i and j are bodies that move.
+            Whether i and whether j are bodies that move, (k,) each.
         """
         low, high = np.where(moves[0], 0.0, share), np.where(moves[1], 1.0, share)
         kept = high > low
@@ -162,15 +163,16 @@ class BodySums:
         self.mass = np.zeros(grid.count)  # kg
         self.momentum = np.zeros((grid.count, 3))  # kg m/s
         self.kinetic = np.zeros((grid.count, 3, 3))  # J, Σ m c ⊗ c about the mean velocity of the cell so far
-        self.contacts = np.zeros(grid.count)  # contacts of the cell's bodies at moments when contacts are known
+        # number of contacts of the cell's bodies, at moments when contacts are known
+        self.contacts = np.zeros(grid.count)
 
     def add(
         self, position: FloatArray, velocity: FloatArray, mass: FloatArray, radius: FloatArray, time: float
     ) -> IntArray:
         """Add bodies at a time (s): positions, velocities (n, 3), masses and radii (n,), all in SI; return their cells.
 
-        Sums of squares are about the mean, and the sums of two moments are joined as in Chan, Golub & LeVeque (1983),
-        so that rounding of a common velocity does not change a temperature.
+        Sums of squares are about the mean, and sums of two moments are joined as in Chan, Golub & LeVeque (1983). The
+        rounding of a common velocity then does not change a temperature.
         """
         cell = self.grid.cells(position, np.full(len(position), time))
         used, place = np.unique(cell, return_inverse=True)
@@ -199,7 +201,7 @@ class BodySums:
 
 
 def add_transferred(total: FloatArray, grid: Grid, branches: Branches) -> None:
-    """Add Σ ℓ ⊗ J of branch vectors to sums over cells, (cells, 3, 3) J: ℓ is the part of a vector in the cell."""
+    """Add Σ ℓ ⊗ J of branch vectors to sums over cells, (cells, 3, 3) J; ℓ is a vector's part inside the cell."""
     if len(branches.start):
         row, cell, fraction = grid.cut(branches.start, branches.reach, branches.time)
         used, place = np.unique(cell, return_inverse=True)

@@ -27,25 +27,26 @@ UNITS: Mapping[str, str] = {  # units of the arrays of `Fields`, by name
 class Fields:
     """Means over an interval in the cells of a grid, in the units of the recording; see docs/physics.md, section 13.
 
-    Arrays have the shape (nx, ny, nz); vectors and tensors have further axes for their components. Velocity,
-    temperature and coordination of a cell without bodies are NaN, like all values that the recording lacks.
+    Arrays have the shape (nx, ny, nz); vectors and tensors have further axes for their components. In a cell without
+    bodies, velocity, temperature and coordination are NaN, like all values that the recording lacks.
     """
 
     title: str
     units: UnitSystem
     start: float  # s, time of the first frame of the interval
-    end: float  # s, the last one
+    end: float  # s, time of the last frame of the interval
     moments: int  # exact states in the interval over which bodies and lasting contacts are averaged
     bodies: int  # number of movable bodies; fixed ones are boundaries, like walls
     origin: FloatArray  # (3,) m, the corner of the grid with the lowest coordinates
     cell: FloatArray  # (3,) m, edges of each cell
     number_density: FloatArray  # 1/m³
-    solid_fraction: FloatArray  # the whole volume of a body counts in the cell of its centre
+    solid_fraction: FloatArray  # a body's whole volume counts in the cell of its centre
     density: FloatArray  # kg/m³
-    velocity: FloatArray  # m/s, momentum over mass
+    velocity: FloatArray  # m/s, momentum divided by mass
     granular_temperature: FloatArray  # J, ⟨m c²⟩/3, with c relative to `velocity`
     kinetic_stress: FloatArray  # (…, 3, 3) Pa, momentum flux of moving bodies; compression is positive
-    contact_stress: FloatArray  # (…, 3, 3) Pa, flux by contacts along the first index of momentum along the second
+    # (…, 3, 3) Pa, flux of momentum (second index) through contacts, in the direction of the first index
+    contact_stress: FloatArray
     coordination: FloatArray  # lasting contacts per body; a contact of two bodies counts for both
     notes: Sequence[str] = ()  # sentences about data that the recording lacks
 

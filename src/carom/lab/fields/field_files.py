@@ -17,11 +17,12 @@ from carom.lab.fields.field_picture import draw
 from carom.recording.export import refuse_format
 from carom.recording.write.whole_file import refuse_output, whole_file
 
-_COMPONENTS = {0: "", 1: "XYZ", 2: [f"{a}{b}" for a in "XYZ" for b in "XYZ"]}  # suffixes, by number of trailing axes
+# suffixes of components, by number of trailing axes
+_COMPONENTS = {0: "", 1: "XYZ", 2: [f"{a}{b}" for a in "XYZ" for b in "XYZ"]}
 
 
 def write_vti(fields: Fields, path: Path) -> None:
-    """Write VTK image data in its XML format, with all fields as data of cells, in float64."""
+    """Write VTK image data in its XML format, with all fields as cell data in float64."""
     size = " ".join(f"0 {n}" for n in fields.shape)
     root = ElementTree.Element(
         "VTKFile", type="ImageData", version="1.0", byte_order="LittleEndian", header_type="UInt64"
@@ -79,7 +80,7 @@ def refuse(path: Path, force: bool) -> None:
 
 
 def write(fields: Fields, path: Path) -> None:
-    """Write a file that appears when it is complete; RecordingError if it cannot be written."""
+    """Write a file, which appears only once it is complete; RecordingError if it cannot be written."""
     try:
         with whole_file(path) as part:
             FORMATS[path.suffix](fields, part)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 COLUMNS = 3
 PANEL = 3.3  # length of the longer side of a panel, in inches
-FLAT = 4  # ratio of cells along x and y to cells along z from which a grid is drawn from above
-MOST_ARROWS = 14  # along a side
+FLAT = 4  # ratio of cells along x and y to cells along z, from which a grid is shown from above
+MOST_ARROWS = 14  # most arrows along a side
 _PLAIN = Dimension("number", "", (0, 0, 0, 0), "3")
 
 
@@ -35,9 +35,9 @@ class Panel(NamedTuple):
 def draw(fields: Fields, path: Path) -> None:
     """Draw the fields into a PNG or SVG, in the units of the scene.
 
-    The picture is a view from the side, with z upwards, or of a flat grid, such as a table, from above. Densities and
-    stresses are means over the depth; velocity, temperature and coordination are weighted with mass and number. Raises
-    ExperimentError if matplotlib is not installed.
+    The picture is a view from the side, with z upwards; a flat grid, such as a table, is viewed from above. Densities
+    and stresses are means over the depth. Velocity and temperature are weighted with mass, coordination with the number
+    of bodies. Raises ExperimentError if matplotlib is not installed.
     """
     style = styled(8, "a picture of fields", **TEXT_IN_SVG)
     x, y, z = fields.shape
@@ -93,7 +93,7 @@ def _show(axes: Axes, panel: Panel, fields: Fields, across: int, up: int) -> Non
         every = max(1, -(-max(values.shape) // MOST_ARROWS))
         middle = [(faces[1:] + faces[:-1])[::every] / 2.0 for faces in (x, y)]
         along, upwards = (component[::every, ::every].T for component in panel.arrows)
-        longest = np.nanmax(values) / (every * (x[1] - x[0]))  # ratio of velocity to the length of its arrow
+        longest = np.nanmax(values) / (every * (x[1] - x[0]))  # ratio of a velocity to the length of its arrow
         one = units.shown(1.0, panel.dimension)
         how: Any = {"angles": "xy", "scale_units": "xy", "scale": longest, "pivot": "middle", "width": 0.006}
         axes.quiver(*middle, along * one, upwards * one, color="white", **how)

@@ -26,7 +26,7 @@ from carom.scene.wording import counted
 CELL = "5r"  # default edge of a cell, in mean radii
 MOST_CELLS = 2_000_000  # each cell has 30 numbers: 0.5 GB in all
 _RADII = re.compile(r"\s*([0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]{1,3})?)\s*r\s*")
-_OVERLAP = 0.1  # largest overlap with a wall, in radii, for which no layer of cells beyond it is added
+_OVERLAP = 0.1  # largest overlap with a wall, in radii, for which no layer of cells beyond the wall is added
 
 
 def fields(
@@ -43,7 +43,7 @@ def fields(
     """Average the bodies and contacts of a recording in the cells of a grid, over an interval.
 
     Nothing is simulated unless ``replay`` is given: bodies and lasting contacts come from at most 64 exact states, and
-    only impacts with rows of their own count. The result's attribute ``notes`` names what is missing.
+    only impacts that have a row count. The result's attribute ``notes`` names what is missing.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def fields(
         The edge of a cell: a number in the units of the scene, a text such as "3 cm", or "5r", which is 5 mean radii
         of the moving bodies. Along periodic axes and between walls, the nearest length that divides the box is used.
     start, end
-        s, both included; by default the whole recording.
+        First and last time in s; by default the whole recording.
     replay
         Whether to compute the steps again, for all impacts, all friction and up to 64 frames.
     output
@@ -148,7 +148,7 @@ class FieldSums:
         self._cell_of = np.zeros(interval.bodies, np.int64)  # at the last moment
         self._lasting = np.zeros((grid.count, 3, 3))  # J s, Σ ℓ ⊗ J over the steps
         self._impacts = np.zeros((grid.count, 3, 3))
-        self._elapsed = 0.0  # s, total length of these steps
+        self._elapsed = 0.0  # s, total length of the steps with lasting contacts
         self._knows_contacts = False
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:
@@ -160,7 +160,7 @@ class FieldSums:
         )
 
     def add_contacts(self, pushes: Pushes, elapsed: float) -> None:
-        """Add the lasting contacts of a step, whose impulses balance constant forces for a time (s)."""
+        """Add the lasting contacts of a step, whose impulses balance constant forces over a time (s)."""
         self._knows_contacts = True
         self._elapsed += elapsed
         add_transferred(self._lasting, self._grid, self._branches(pushes))
@@ -173,9 +173,10 @@ class FieldSums:
         add_transferred(self._impacts, self._grid, self._branches(pushes))
 
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
-        """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given that of impacts with known places, (3, 3) each.
+        """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given the sum over impacts with known places, (3, 3) each.
 
-        Each cell gets the fraction that it has of the trace of the sum with places, without parts in fixed bodies.
+        A cell's share is its fraction of the trace of the sum over impacts with known places, without parts in fixed
+        bodies.
         """
         share = np.trace(self._impacts, axis1=1, axis2=2)
         if np.trace(of) > 0.0:

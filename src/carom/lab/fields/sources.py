@@ -1,6 +1,6 @@
-"""The data of fields: bodies and contacts at exact states, and the impacts between them, read or recomputed.
+"""The data of fields: bodies and contacts at exact states, and impacts between these states, read or recomputed.
 
-A recording has exact velocities at its checkpoints. There, lasting contacts have the impulses of the whole step.
+A recording has exact velocities at its checkpoints, and there the impulses of lasting contacts over the whole step.
 Friction has the magnitude of the whole step, and the direction of the last kick, which the exact state contains. For
 the largest impacts, a recording has point, normal and normal impulse, but no direction of friction; for all impacts,
 friction included, it has the sum of ℓ ⊗ J.
@@ -32,7 +32,7 @@ class Pushes(NamedTuple):
     i: IntArray  # (k,) i < j
     j: IntArray  # (k,) numbers from n on are planes and walls
     start: FloatArray  # (k, 3) m, the centre of i
-    whole: FloatArray  # (k, 3) m, from that centre to the centre of j, or to the surface of a plane or wall
+    whole: FloatArray  # (k, 3) m, vector from that centre to the centre of j, or to the surface of a plane or wall
     impulse: FloatArray  # (k, 3) N s, impulse on j
     time: FloatArray  # (k,) s
 
@@ -44,7 +44,7 @@ class Collector(Protocol):
         """Add bodies at a time (s): positions (m), velocities (m/s), both (n, 3), and a mask of existing ones, (n,)."""
 
     def add_contacts(self, pushes: Pushes, elapsed: float) -> None:
-        """Add the lasting contacts of a step, whose impulses balance constant forces for a time (s).
+        """Add the lasting contacts of a step, whose impulses balance constant forces over a time (s).
 
         The bodies of this moment must have been added before.
         """
@@ -53,7 +53,7 @@ class Collector(Protocol):
         """Add impacts."""
 
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
-        """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given that of impacts with known places, (3, 3) each."""
+        """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given the sum over impacts with known places, (3, 3) each."""
 
 
 def collect(interval: Interval, collector: Collector) -> None:
@@ -92,7 +92,7 @@ def _read(interval: Interval, collector: Collector) -> None:
     impulse = rows.impulse[:, None] * rows.normal
     collector.add_impacts(Pushes(rows.i, rows.j, start, whole, impulse, rows.time))
     known = np.einsum("ka,kb->ab", whole, impulse)
-    with suppress(RecordingError):  # otherwise the recording has no sums over all impacts
+    with suppress(RecordingError):  # without such sums, the recording raises an error
         collector.add_unplaced(interval.sums.virial - known, known)
 
 

@@ -61,7 +61,7 @@ def fork_command(
     """Continue from a moment of a recording, under other parameters or from a state that differs in the last bits.
 
     Only the steps after the moment are run. One file contains both runs and their difference; with --seeds, it contains
-    the band that all forks span.
+    the range that all forks span.
     """
     from carom.errors import ExperimentError
     from carom.lab.fork.branch import Branch, start_of
@@ -151,7 +151,7 @@ def _many(
     from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
-    expression = None if outcome is None else outcome_of(start, outcome)  # before the workers start
+    expression = None if outcome is None else outcome_of(start, outcome)  # checked before the workers start
 
     with LocalWorkers(min(cores(), seeds)) as workers, LiveLine() as line:
 

@@ -58,8 +58,8 @@ class ForkStart:
     def space(self, threads: int | None = None, shift: int | None = None, ulps: int = 1) -> Space:
         """Build a space at the fork.
 
-        With a ``shift``, the seed of a perturbation, each coordinate moves by ``ulps`` units in the last place, up or
-        down.
+        ``shift`` is the seed of a perturbation, if any: each coordinate then moves by ``ulps`` units in the last place,
+        up or down.
         """
         checkpoint = self.checkpoint
         if shift is not None:
@@ -72,7 +72,7 @@ class ForkStart:
         space = space_of(self.recording, self.scene, checkpoint, threads, False, records)
         if checkpoint.step and self.recording.entries is not None:
             return _with_books(space, checkpoint)
-        begun = space.frame().checkpoint  # begun with the forces of the new parameters at this state
+        begun = space.frame().checkpoint  # a checkpoint with the forces of the new parameters at this state
         space.restore(
             replace(checkpoint, acceleration=begun.acceleration, energy=begun.energy, books=begun.books)
             if checkpoint.step
@@ -82,8 +82,8 @@ class ForkStart:
 
 
 def _with_books(space: Space, checkpoint: Checkpoint) -> Space:
-    """Restore a checkpoint in which bodies may wait; its books begin there, with the forces of the new parameters."""
-    fresh = space.frame().checkpoint  # a fresh state, as of a run in which no body has entered or left
+    """Restore a checkpoint in which bodies may wait; its books begin anew, with the forces of the new parameters."""
+    fresh = space.frame().checkpoint  # a fresh state, as if no body had entered or left
     space.restore(replace(checkpoint, energy=fresh.energy, books=fresh.books))
     acceleration, now = space.accelerated(), space.frame().energy
     origin = Origin(now.translational + now.gravitational, now.rotational, now.field)
@@ -101,7 +101,7 @@ def start_of(branch: Branch) -> ForkStart:
     recording.refuse_overlay()
     recording.refuse_some_bodies()
     original = recorded_scene(recording)
-    # keys that only set the initial state or the domain
+    # some keys only set the initial state or the domain
     for override in branch.overrides:
         key = override.partition("=")[0].strip()
         section = key.partition(".")[0]
@@ -155,7 +155,7 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
 
 OPTION = "--outcome"
 MOST_FRAMES = 200
-_MULTIPLE = 1e-9  # relative, as in `Every`
+_MULTIPLE = 1e-9  # relative tolerance of multiples, as in `Every`
 _MOMENTS = "moments."  # prefix of summary keys that exist only after the event has happened
 
 
@@ -191,7 +191,7 @@ def path_of(
         if outcome is not None:
             seen.see(frame)
         reached = int(np.searchsorted(time, frame.time * (1.0 + _MULTIPLE), side="right"))
-        for row in range(filled, reached):  # several in longer steps
+        for row in range(filled, reached):  # a long step passes several multiples
             position[row] = frame.position - frame.velocity * (frame.time - time[row])
         filled = max(filled, reached)
     came = None
@@ -216,7 +216,7 @@ def outcome_of(start: ForkStart, text: str) -> Expression:
 
 def _summary(outcome: Expression, space: Space, seen: Observation) -> dict[str, Any]:
     position = space.state.position
-    # names of single bodies' values in the outcome: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s
+    # values of single bodies in the outcome have names such as ``x_3``, in m, and ``speed_3``, in m/s
     found: dict[str, float] = {}
     for name in outcome.names:
         what, _, number = name.partition("_")
@@ -238,7 +238,7 @@ def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodie
 
 
 _TICK = 60.0  # s, longest single wait for results
-_STARTS = 4  # moments and reference paths that a worker keeps
+_STARTS = 4  # number of moments and reference paths that a worker keeps
 
 
 @dataclass(frozen=True, slots=True)
