@@ -190,7 +190,7 @@ class _Impact:
 
     @property
     def ways(self) -> FloatArray:
-        """The restitution coefficients, (`WAYS`,), of an isolated impact of one frame; empty for other impacts."""
+        """The possible restitution coefficients, (`WAYS`,), of an isolated impact in one frame; empty for others."""
         one = self.parts[0]
         isolated = len(self.parts) == 1 and len(one.closing) == WAYS and bool((one.closing > self.first.slow).all())
         return np.asarray(one.parting / one.closing if isolated else np.empty(0))
