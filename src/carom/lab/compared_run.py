@@ -401,7 +401,7 @@ class _Flight:
         return self._way[bodies] + moved, v + lost * (final - v) + s * s / 2 * jerk
 
     def behind(self, h: float, ahead: FloatArray) -> FloatArray:
-        """Return the missing acceleration a time h (s) after the start: the drag of the missing velocities."""
+        """Return the missing acceleration a time h (s) after the start: the drag on the missing velocities."""
         if self._drag is None:
             return np.zeros_like(ahead)
         return np.asarray(-(ahead + h * h / 2 * self._jerk) / self._drag.relaxation_time)

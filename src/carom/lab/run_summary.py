@@ -26,7 +26,7 @@ from carom.scene.start import names_of_solids
 from carom.scene.wording import Names, nearest
 from carom.state.frame import Frame
 
-LONGEST = 1000  # characters
+LONGEST = 1000  # most characters of an expression
 _EXAMPLE = "expected a condition such as energy.max_error > 1e-3"
 _WORDS: dict[str, Any] = {"true": True, "false": False, "null": None, "inf": math.inf, "nan": math.nan}
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
@@ -82,7 +82,7 @@ class Expression:
             raise ExperimentError(f"{option} {text}: contains no quantity of a run; {_EXAMPLE}")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Send the text to another process, which compiles it again."""
+        """Pickle only the text; another process compiles it again."""
         return Expression, (self.text, self.option)
 
     def holds(self, summary: Mapping[str, Any]) -> bool:
@@ -98,7 +98,7 @@ class Expression:
         return [name for name in self.names if name not in known]
 
     def explain_unknown(self, name: str, summary: Mapping[str, Any]) -> str:
-        """Return the message about an unknown name, with the nearest known one."""
+        """Return the message about an unknown name, with the nearest known name."""
         near = nearest(name, list(_leaves(summary)))
         hint = f'; did you mean "{near}"?' if near else ""
         return f"{self.option} {self.text}: the summary has no {name}{hint} (`carom inspect --json` prints all names)"
@@ -108,7 +108,7 @@ class Expression:
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
 
     def _compiled(self, node: ast.expr) -> Evaluator:
-        """Return the function that evaluates a node, and store its names; refuse nodes that no condition may have."""
+        """Return the function that evaluates a node, and store the node's names; refuse other nodes."""
         match node:
             case ast.Name() | ast.Attribute():
                 name = self._dotted(node)
@@ -174,20 +174,20 @@ def _shown(value: Any) -> str:
 
 Pair = frozenset[str]  # names of both ends
 
-SUNK = 0.05  # overlap, in smaller radii, beyond which an overlap must not last
-LASTING = 20  # steps
-STEADY = 0.01  # largest change in `LASTING` steps of an overlap at rest, in smaller radii
+SUNK = 0.05  # overlap, in smaller radii, from which an overlap must not last
+LASTING = 20  # number of steps after which an overlap lasts
+STEADY = 0.01  # largest change of an overlap at rest in `LASTING` steps, in smaller radii
 
 
 class Touches:
-    """The pairs that touched so far, identified by names, which do not change when other bodies are left out."""
+    """The pairs that touched so far, identified by names, since names do not change when other bodies are left out."""
 
     def __init__(self, space: Space) -> None:
         self._names = Names(list(space.names), names_of_solids(space.scene))
         self._radius = space.state.radius
         self._since: dict[Pair, tuple[int, float]] = {}  # first step of a steady overlap, and the overlap
         self.pairs: set[Pair] = set()
-        self.sunk: dict[Pair, float] = {}  # pairs that overlap at rest, with the overlap over the smaller radius
+        self.sunk: dict[Pair, float] = {}  # overlap, in smaller radii, of each pair that overlaps at rest
 
     def see(self, frame: Frame) -> None:
         """Add the impacts since the previous frame, and measure overlaps that last."""
@@ -235,7 +235,7 @@ class Observation:
     def summary(self) -> dict[str, Any]:
         """The numbers that `carom inspect --json` prints, except the numbers about the file."""
         space = self.space
-        # nests entries by the dots in their keys
+        # entries are nested at the dots in their keys
         properties = closing_summary(space, space.named_extremes(), self.verdicts)
         closing: dict[str, Any] = {}
         for key, value in properties.items():
@@ -271,5 +271,5 @@ class Observation:
 
 
 def said_by(error: Exception) -> str:
-    """Return the message of a PhysicsError; for any other exception, with its type."""
+    """Return the message of an exception, with the type unless it is a PhysicsError."""
     return str(error) if isinstance(error, PhysicsError) else f"{type(error).__name__}: {error}"

@@ -270,7 +270,7 @@ class FrameAlignment:
         return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
 
     def _near(self, one: FloatArray, other: FloatArray, time: float) -> FloatArray:
-        """Return the periodic images of other positions at a time (s) that are nearest to given positions."""
+        """Return the periodic images of positions ``other`` at a time (s) that are nearest to positions ``one``."""
         cell = self._cell(time)
         if cell is None:
             return other

@@ -115,7 +115,7 @@ def _crossings(first: FloatArray, reach: FloatArray) -> list[FloatArray]:
 
 
 class Branches(NamedTuple):
-    """Lines along which contacts transfer momentum between moving bodies, or to the surface of a wall."""
+    """Branch vectors: lines along which contacts transfer momentum between moving bodies, or to a wall's surface."""
 
     start: FloatArray  # (k, 3) m
     reach: FloatArray  # (k, 3) m

@@ -145,7 +145,7 @@ class FieldSums:
     def __init__(self, interval: Interval, grid: Grid) -> None:
         self._interval, self._grid = interval, grid
         self._bodies = BodySums(grid)
-        self._cell_of = np.zeros(interval.bodies, np.int64)  # at the last moment
+        self._cell_of = np.zeros(interval.bodies, np.int64)  # cell of each body at the last moment
         self._lasting = np.zeros((grid.count, 3, 3))  # J s, Σ ℓ ⊗ J over the steps
         self._impacts = np.zeros((grid.count, 3, 3))
         self._elapsed = 0.0  # s, total length of the steps with lasting contacts

@@ -274,7 +274,7 @@ def results_of(tasks: Iterable[PerturbedTask], workers: Workers) -> Iterator[Per
 
 
 def by_seed(results: Iterable[PerturbedResult]) -> Iterator[PerturbedResult]:
-    """Yield results in the order of their seeds, from 1, so that a test does not depend on the workers."""
+    """Yield results in the order of their seeds, from 1, so that a test's result does not depend on workers."""
     waiting: dict[int, PerturbedResult] = {}
     seed = 1
     for result in results:

@@ -1,9 +1,9 @@
-"""Branches of a recording: runs that continue from one of its states, or from states that differ by a few bits.
+"""Branches of a recording: runs that continue from a recorded state, or from states that differ from it by a few bits.
 
 `Ensemble` describes the spread of many branches and the probability of an outcome. `inevitable` finds the time from
 which an outcome was inevitable: it bisects the time of the fork. At each time, branches are run until Wald's sequential
-test of the probability p of the outcome decides between p ≥ 0.99 and p ≤ 0.9, with errors of 5 %. After k outcomes in m
-branches, the logarithm of the likelihood ratio is
+test of the probability p of the outcome decides between p ≥ 0.99 and p ≤ 0.9, with errors of 5 %. If the outcome
+occurred in k of m branches, the logarithm of the likelihood ratio is
 
     k ln(0.99/0.9) + (m - k) ln(0.01/0.1)
 
@@ -32,15 +32,15 @@ from carom.runs.outcome import in_words
 from carom.runs.run import Outcome, simulate
 from carom.scene.units.dimension import LENGTH, TIME
 
-# The probability of an outcome over the time of the fork.
+# The probability of an outcome as a function of the time of the fork.
 _Z = 1.96  # half-width in standard deviations of the interval with 95 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """The number of forks at one time, and the number of these with the outcome."""
+    """The number of forks at one time, and the number of forks with the outcome."""
 
-    time: float  # s, of the fork
+    time: float  # s, time of the fork
     hits: int
     forks: int
 
@@ -51,7 +51,7 @@ class Chance:
 
     @property
     def band(self) -> tuple[float, float]:
-        """The interval that contains the probability with 95 % (Wilson, JASA 22, 209, 1927)."""
+        """The interval that contains the probability with a confidence of 95 % (Wilson, JASA 22, 209, 1927)."""
         n, p, z2 = self.forks, self.probability, _Z * _Z
         middle, half = p + z2 / (2 * n), _Z * math.sqrt(p * (1.0 - p) / n + z2 / (4 * n * n))
         low, high = ((middle + sign * half) / (1.0 + z2 / n) for sign in (-1.0, 1.0))
@@ -74,14 +74,14 @@ def chances(draw: Draw, begin: float, end: float, count: int, last_step: float =
 SURE, UNSURE, ERROR = 0.99, 0.9, 0.05
 ROUNDS = 8  # rounds of bisection: the interval shrinks to 1/256
 
-Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → the outcomes of its forks
+Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → whether each fork had the outcome
 
 
 @dataclass(frozen=True, slots=True)
 class Tested:
     """A tested time for the fork."""
 
-    time: float  # s
+    time: float  # s, time of the fork
     hits: int
     forks: int
     inevitable: bool
@@ -91,14 +91,14 @@ class Tested:
 class Inevitable:
     """The time from which an outcome was inevitable."""
 
-    earliest: float  # s, last time at which the outcome was not inevitable, or the beginning
+    earliest: float  # s, last time at which the outcome was not yet inevitable, or the beginning
     latest: float  # s, first time at which the outcome is inevitable
     always: bool  # whether the outcome was inevitable from the beginning
-    tested: list[Tested] = field(default_factory=list)  # in order of time
+    tested: list[Tested] = field(default_factory=list)  # tested times, in order
 
 
 def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> Inevitable:
-    """Find the time by bisection between two times (s); at the later time the outcome is certain."""
+    """Find the time by bisection between two times (s); at the later time, the outcome is certain."""
     first = judge(draw, begin)
     found = Inevitable(begin, begin if first.inevitable else end, first.inevitable, [first])
     for _ in range(0 if first.inevitable else rounds):
@@ -126,7 +126,7 @@ def judge(draw: Draw, time: float) -> Tested:
     return Tested(time, hits, forks, evidence > 0.0)
 
 
-BAND = (5.0, 50.0, 95.0)  # percentiles
+BAND = (5.0, 50.0, 95.0)  # percentiles of an ensemble's distances
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +141,9 @@ class Ensemble:
     rms: FloatArray  # (seeds, k) m, rms distance over the bodies of each branch
     band: FloatArray  # (3, k) m, percentiles `BAND` of `rms`
     spread: FloatArray  # (k, n) m, spread of each body
-    growth: Divergence | None  # of the median
-    rates: FloatArray  # (r,) 1/s, λ of the branches whose distance grows exponentially
-    outcomes: list[bool]  # of the branches
+    growth: Divergence | None  # growth of the median
+    rates: FloatArray  # (r,) 1/s, rate λ of each branch whose distance grows exponentially
+    outcomes: list[bool]  # whether each branch had the outcome
     reference_outcome: bool | None
     chances: list[Chance] = field(default_factory=list)  # probabilities of the outcome, by the time of the fork
 

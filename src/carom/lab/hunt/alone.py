@@ -1,8 +1,8 @@
 """Compare the bits of a scene that runs alone in a new process with its bits after the other scenes of a hunt.
 
-All scenes share the compiled kernels of their process, which other processes may have stored. Whatever leaks from one
-scene to the next, such as a kernel linked for the records of another scene, changes neither the ledger nor a replay in
-the same process. Only a run in another process can refute it.
+All scenes share the compiled kernels of their process, which other processes may have stored. If something leaks from
+one scene to the next, such as a kernel linked for the records of another scene, neither the ledger nor a replay in the
+same process shows the leak. Only a run in another process can show it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carom.runs.workers import LocalWorkers
 from carom.scene.load import Scene
 
 POLL = 0.2  # s between two checks of the budget
-STEPS = 400  # most steps; a longer run is abandoned
+STEPS = 400  # most steps of a run; a longer run is abandoned
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +61,9 @@ def in_new_processes(tasks: Iterable[Sequence[tuple[int, int]]], budget: Budget)
 
 
 def difference(seed: int, index: int, here: Ending, before: Sequence[int], budget: Budget) -> str:
-    """Compare a scene's end in this process with its end alone; return a sentence if they differ, else nothing.
+    """Compare a scene's end in this process with its end alone; return a sentence if they differ, else an empty text.
 
-    ``before`` are the numbers of the scenes that ran before it in this process.
+    ``before`` has the numbers of the scenes that ran earlier in this process.
     """
     (alone,) = in_new_processes([[(seed, index)]], budget)
     if alone == here:

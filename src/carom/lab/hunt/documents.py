@@ -1,8 +1,8 @@
 """Random scenes as documents: bodies about to meet, softened bodies that attract each other, pairs that meet once.
 
 Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. Numbers are drawn
-from coarse grids, by a random number generator or a test library. Ties, exact contacts and exact zeros, which reveal
-mistakes, are therefore frequent.
+from coarse grids, by a random number generator or a test library. This makes ties, exact contacts and exact zeros
+frequent, which reveal mistakes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from carom.arrays import FloatArray
 
 Value = TypeVar("Value")
 
-# Vectors of multiples of 1/4 up to 1, the simplest first; one draw for each, since three would take most of the time
+# Vectors of multiples of 1/4 up to 1, simplest first; a vector takes one draw, since three draws would take most of the
+# time
 QUARTERS = np.array(sorted(itertools.product(np.arange(-4, 5) / 4, repeat=3), key=lambda v: (np.abs(v).sum(), *v)))
 DIRECTIONS = QUARTERS[1:] / np.linalg.norm(QUARTERS[1:], axis=1, keepdims=True)
 
@@ -30,7 +31,7 @@ class Draw(Protocol):
         """Draw one of the given values."""
 
     def integer(self, low: int, high: int) -> int:
-        """Draw a whole number from low to high."""
+        """Draw a whole number from ``low`` to ``high``, both included."""
 
 
 class RandomDraw:
@@ -44,7 +45,7 @@ class RandomDraw:
         return self._rng.choice(values)
 
     def integer(self, low: int, high: int) -> int:
-        """Draw a whole number from low to high."""
+        """Draw a whole number from ``low`` to ``high``, both included."""
         return self._rng.randint(low, high)
 
 
@@ -78,7 +79,7 @@ def row(values: FloatArray) -> list[float]:
     return [float(value) for value in values]
 
 
-Document = dict[str, Any]  # a scene with the keys of a TOML file; it can be changed before validation
+Document = dict[str, Any]  # a scene as a dictionary with the keys of a TOML file; it can be changed before validation
 
 
 class Scales(NamedTuple):
@@ -107,7 +108,7 @@ def meeting(
     most_bodies: int = 12,
     drift: float = 1000.0,
 ) -> Document:
-    """Draw a valid scene of a few bodies that meet within some 30 steps; arguments of None are drawn, too.
+    """Draw a valid scene of a few bodies that meet within some 30 steps; arguments that are None are drawn at random.
 
     A fixed step is a power of two, so that the clock is exact. All bodies may share a velocity of ``drift`` times their
     usual speed.
@@ -117,7 +118,7 @@ def meeting(
         return draw.choice(False, True) if given is None else given
 
     has_gravity, has_field = choose(gravity), choose(field)
-    # With an adaptive step, Baumgarte's bias diverges for squeezed bodies: test_random_scenes.py has the scene.
+    # With an adaptive step, Baumgarte's bias diverges for squeezed bodies; test_random_scenes.py has such a scene.
     undoing = stabilisation or draw.choice("split", "none", *(["baumgarte"] if fixed_step is not False else []))
     fixed = undoing == "baumgarte" or choose(fixed_step)
     wraps = not has_gravity and not has_field and choose(periodic)
@@ -144,14 +145,14 @@ def meeting(
         "record": {"every": "step", "check_every": 1},
     }
     if has_gravity:
-        # The model excludes overlapping bodies without softening, whose attraction is unbounded (physics.md, 16).
+        # The model excludes overlapping bodies without softening, since their attraction is unbounded (physics.md, 16).
         soft = draw.choice(0.1, 1.0) if overlapping else draw.choice(0.0, 0.0, 0.1, 1.0)
         document["gravity"] = {"constant": decade(draw, -3, 2) * U * U * L / M, "softening": soft * L}
     if has_field:
         document["gravity"]["uniform"] = row(vector(draw) * (decade(draw, -2, 1) * U * U / L))
     if wraps:
         slack = draw.choice(0.0, 0.125, 1.0)
-        # bodies in the box do not overlap; with a slack of 0, the outermost ones touch through the boundary
+        # bodies in the box do not overlap; with a slack of 0, the outermost bodies touch through the boundary
         position = np.array([body["position"] for body in bodies])
         radius = np.array([body["radius"] for body in bodies])[:, None]
         extent = (position + radius).max(axis=0) - (position - radius).min(axis=0)
@@ -163,7 +164,7 @@ def meeting(
 
 
 def _bodies(draw: Draw, L: float, U: float, M: float, count: int, overlapping: bool, drift: float) -> list[Document]:
-    """Draw bodies, each beside an earlier one: touching it, at a distance, or overlapping it where that is allowed."""
+    """Draw bodies, each beside an earlier one: touching it, at a distance, or overlapping it if ``overlapping``."""
     alike, spinning = draw.choice(False, True), draw.choice(False, True)
     bulk = vector(draw) * draw.choice(0.0, 1.0, drift)
     gaps = [0.0, 0.0, 0.01, 0.1, 1.0, 10.0] + ([-0.1, -0.5, -1.0] if overlapping else [])
@@ -207,7 +208,7 @@ def _clear(
         chord = (radius + other) ** 2 - float(aside @ aside)  # squared half-length of the chord
         if chord > 0.0:
             blocked.append((along - math.sqrt(chord), along + math.sqrt(chord)))
-    for entry, exit_ in sorted(blocked):  # ordered by entry: no later interval begins before
+    for entry, exit_ in sorted(blocked):  # in the order of entry, so no later interval begins earlier
         if entry < distance < exit_:
             distance = exit_
     return distance
@@ -222,7 +223,7 @@ def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | Non
     T = L / U
     reach = draw.choice(None, 0.001, 0.01, 0.1, 1.0)
     time: Document = {
-        "duration": 1e9 * T,  # ends the run by its number of steps
+        "duration": 1e9 * T,  # so long that the number of steps ends the run
         "integrator": draw.choice("euler", "leapfrog", "yoshida4"),
         "max_dt": T * decade(draw, -2, 1),
         "target_dx": "auto" if reach is None else L * reach,
@@ -238,7 +239,7 @@ def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | Non
 def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
     """Draw softened bodies that attract and pass through each other, so that their motion is smooth.
 
-    The step is a fraction of 1/λ, with λ² = 2 G M/ε³, such that the run lasts at most half of 1/λ. The gradient of
+    The step is a fraction of 1/λ, with λ² = 2 G M/ε³, chosen so that the run lasts at most half of 1/λ. The gradient of
     Plummer's force is at most G m/ε³, so two runs diverge no faster than exp(λ t).
     """
     count = draw.integer(2, 8)
@@ -275,11 +276,11 @@ def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
 
 
 def impacts(draw: Draw) -> Document:
-    """Draw pairs far from each other, each of which collides once, within the first six steps of 2⁻⁶ s.
+    """Draw pairs, far from one another; the bodies of a pair collide once, within the first six steps of 2⁻⁶ s.
 
-    An impact is resolved at the end of its step. Round-off must not move it to another step, so each happens at 0.3 to
-    0.7 of a step, and at least 17° from grazing. Static and kinetic friction are equal, so that the result is
-    continuous at the onset of sliding.
+    An impact is resolved at the end of its step. Round-off must not move an impact to another step, so each impact
+    happens at 0.3 to 0.7 of a step, and at least 17° from grazing. Static and kinetic friction are equal, so that the
+    result is continuous at the onset of sliding.
     """
     dt = 2.0**-6
     bodies: list[Document] = []
@@ -292,7 +293,7 @@ def impacts(draw: Draw) -> Document:
         head_on = draw.choice(0.3, 0.6, 1.0)
         speed = draw.choice(0.02, 0.1, 0.2) * reach / dt
         approach = speed * (-head_on * normal + math.sqrt(1.0 - head_on**2) * across)
-        touching = (draw.integer(0, 5) + draw.choice(0.3, 0.5, 0.7)) * dt  # s
+        touching = (draw.integer(0, 5) + draw.choice(0.3, 0.5, 0.7)) * dt  # s, time of the impact
         own = vector(draw) * speed
         first = np.array([1000.0 * site, 0.0, 0.0]) + vector(draw)
         for k in range(2):

@@ -31,19 +31,19 @@ from carom.scene.load import Scene, scene_from_text
 from carom.scene.wording import command
 from carom.sharing.report import report
 
-LEDGER = 1e-9  # error over the energy scale in flight without forces: some 10⁶ roundings of 10⁻¹⁶
-CONSERVED = 1e-9  # of the largest momentum
+LEDGER = 1e-9  # error relative to the energy scale in flight without forces: some 10⁶ roundings of 10⁻¹⁶
+CONSERVED = 1e-9  # largest change of a conserved momentum, relative to the largest momentum
 
 
 @dataclass(frozen=True, slots=True)
 class HuntedLaw:
-    """A law: its name, its statement, the condition under which a run violates it, and the scenes it applies to."""
+    """A law: its name, its statement, the condition under which a run violates the law, and its scenes."""
 
     name: str
     says: str
     condition: str
     applies: Callable[[Scene, Requirements], bool]
-    kinds: tuple[str, ...] = ()  # of scenes; empty: all
+    kinds: tuple[str, ...] = ()  # kinds of scenes that the law covers; empty: all kinds
 
 
 def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
@@ -55,7 +55,8 @@ def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
 def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
     """Return whether the integrator's only error is rounding, so that the ledger explains all energy changes."""
     exact = not auto.integrator(scene).controls_error and _falls_exactly(scene)
-    pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked to next order only
+    # the work of the field is then booked only to next order
+    pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)
     return exact and not pushed and not needs.gravity.modelled and scene.drag is None
 
 
@@ -82,13 +83,13 @@ def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
 
 ALONE = HuntedLaw(
     "alone", "the bits do not depend on what ran before in the process", "", lambda *_: True
-)  # judged with `--alone`
+)  # `--alone` judges this law
 REFINED = HuntedLaw(
     "shorter steps",
     "with default steps, steps a quarter as long tell the same story",
     "shorter steps differ",
     lambda *_: True,
-)  # the scene of `by_default` is judged
+)  # the scene that `by_default` returns is judged
 ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda *_: True)
 LAWS = [
     ERROR,
@@ -135,14 +136,15 @@ LAWS = [
 ]
 
 
-_METHOD = {  # keys, by section, that choose a method or its steps; with defaults, refinements keep their tolerances
+# keys, by section, that choose a method or its steps; with their defaults, refinements keep their tolerances
+_METHOD = {
     "time": ("max_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "fixed_dt", "integrator"),
     "contact": ("timing", "stabilisation", "sweeps", "solver", "colouring"),
 }
 
 
 def by_default(document: Document) -> Document | None:
-    """Return a scene with the default method and steps; None if it overlaps at the start or has an accuracy."""
+    """Return a scene with the default method and steps; None if bodies overlap at the start, or an accuracy is set."""
     if document.get("contact", {}).get("allow_overlap") or "accuracy" in document["time"]:
         return None
     changed = dict(document)
@@ -151,7 +153,7 @@ def by_default(document: Document) -> Document | None:
     return changed
 
 
-AUDIT = 1e-9  # speed that impulses do not explain, relative: some 10⁶ roundings
+AUDIT = 1e-9  # largest relative speed that impulses do not explain: some 10⁶ roundings
 SHARE = 0.2  # fraction of the budget for shrinking a single miss
 LONGEST = 60.0  # s, time limit for shrinking a single miss
 
@@ -161,10 +163,10 @@ class Finding:
     """A law that a scene violates."""
 
     law: HuntedLaw
-    condition: Condition | None  # a smaller scene violates the law if it meets this; None: the scene is not shrunk
+    condition: Condition | None  # condition by which a smaller scene violates the law; None: the scene is not shrunk
     index: int  # index among all scenes of the seed
     scene: Scene
-    said: str  # text about the run's violation
+    said: str  # text about the violation
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +175,8 @@ class Miss:
 
     law: str
     index: int  # index among all scenes of the seed
-    said: str  # text about the run's violation
-    path: Path | None  # path of the reduced scene; None if a similar one was saved before
+    said: str  # text about the violation
+    path: Path | None  # path of the reduced scene; None if a similar scene was saved before
     bodies: int
 
 
@@ -185,8 +187,8 @@ class Tally:
     seed: int
     scenes: int = 0
     refused: int = 0
-    stated: int = 0  # runs that ended with a stated reason
-    given_up: int = 0  # runs that were abandoned after too many steps
+    stated: int = 0  # number of runs that ended with a stated reason
+    given_up: int = 0  # number of runs that were abandoned after too many steps
     misses: list[Miss] = field(default_factory=list)
     seconds: float = 0.0
     stopped: str = ""
@@ -213,7 +215,7 @@ class Hunt:
         output_folder(self.folder)
 
     def hunt(self) -> Tally:
-        """Hunt until the budget is spent, the scenes are judged, or the user ends it."""
+        """Hunt until the budget is spent, all scenes are judged, or the user ends the hunt."""
         try:
             with Interrupts() as interrupts:
                 budget = Budget(self.seconds, interrupts)
@@ -227,7 +229,7 @@ class Hunt:
             self.tally.stopped = str(ended)
         finally:
             if self._new:
-                with contextlib.suppress(OSError):  # it holds misses
+                with contextlib.suppress(OSError):  # a folder that holds misses remains
                     self.folder.rmdir()
         return self.tally
 
@@ -264,7 +266,7 @@ class Hunt:
         except PhysicsError:
             self.tally.stated += 1
             return []
-        except Exception as error:  # an error before the first step is a failure, too
+        except Exception as error:  # an error before the first step is also a failure
             return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
 
     def _moves(self, index: int, document: Document, budget: Budget) -> list[Finding]:
@@ -277,9 +279,9 @@ class Hunt:
         except SceneError:
             return []
         if require(scene).contact.modelled and auto.timing(scene) == "end-of-step":
-            return []  # the method's stated error is of first order
+            return []  # the stated error of the method is of first order
         if scene.admits:
-            return []  # bodies enter and leave as steps begin
+            return []  # bodies enter and leave at the beginnings of steps, so shorter steps change the run
         said = moved_by_shorter_steps(scene, STEPS, lambda status: budget.check())
         return [Finding(REFINED, condition_from(REFINED.condition), index, scene, said)] if said else []
 
@@ -310,7 +312,7 @@ class Hunt:
         except Exception as error:  # a fault before the first step leaves nothing to shrink
             said = f"{said} (not shrunk: {said_by(error)})"
         write(path, small)
-        # record the run of the reduced scene, up to its end or failure, and pack a report, both beside the scene
+        # record the reduced scene up to its end or failure, and pack a report, both in files beside the scene
         recorded = path.with_suffix(".rrd")
         try:
             simulate(recording_space(scene_from_text(small, str(path)), threads=1), recorded, force=True)

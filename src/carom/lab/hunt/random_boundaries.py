@@ -12,9 +12,9 @@ import numpy as np
 from carom.lab.hunt.documents import Document, Draw, Scales, decade, direction, fraction, one_in, row, vector
 
 SPEEDS = (1e-3, 0.1, 1.0, 5.0)  # speeds of the bodies, in units of the scene's speed
-PITCH = (2.01, 2.5)  # radii between neighbours on the lattice
-ROOM = 1.8  # extent of a boundary over the extent of the bodies
-CROSSINGS = 3.0  # body crossings of one radius per run, at the scene's speed
+PITCH = (2.01, 2.5)  # distances of neighbours on the lattice, in radii
+ROOM = 1.8  # extent of a boundary, relative to the extent of the bodies
+CROSSINGS = 3.0  # how often a body crosses its radius in a run, at the scene's speed
 
 
 def enclosed(draw: Draw, scale: Scales) -> Document:
@@ -88,7 +88,7 @@ def _in_a_hollow(draw: Draw, scale: Scales) -> Document:
 
 
 def _on_plates(draw: Draw, scale: Scales) -> Document:
-    """Draw a disc or a rectangle below the bodies, along the field if there is one, and perhaps one beside them."""
+    """Draw a disc or rectangle below the bodies (along the field, if there is one), and perhaps another beside them."""
     document, reach = _scene(draw, scale)
     field = np.array(document["gravity"].get("uniform", [0.0, 0.0, -1.0]))
     normal = -field / np.sqrt((field * field).sum())
@@ -157,7 +157,7 @@ def poured(draw: Draw, scale: Scales) -> Document:
     """Draw bodies that enter above a slope or a funnel, and perhaps leave and come back."""
     L, U, M = scale
     height, count = 6.0 * L, draw.integer(1, 12)
-    room = L * draw.choice(2.1, 5.0, 9.0)  # where fewer fit than enter, bodies wait
+    room = L * draw.choice(2.1, 5.0, 9.0)  # if fewer bodies fit than enter, some wait
     release = draw.choice({"at": 0.2 * L / U}, {"rate": 2.0 * U / L}, {"rate": 0.5 * U / L, "at": L / U})
     if one_in(draw, 3):
         release = release | {"until": 5.0 * L / U}

@@ -33,7 +33,8 @@ from carom.scene.parts import PARTS
 MOST_BODIES = 16
 DRIFT = 10.0  # speed common to all bodies; the scale of errors excludes the rounding of its energy
 MOST_FIXED = 200  # most steps of a fixed length
-SCENES_FOR_A_POUR = 12  # one of them has bodies that enter, and perhaps leave; by its own random numbers
+# in one of so many scenes, bodies enter and perhaps leave; that scene has its own random numbers
+SCENES_FOR_A_POUR = 12
 SMOOTH_STEPS = 20
 ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators of order two or more
 
@@ -87,7 +88,7 @@ def _drawn(draw: Draw) -> Drawn:
         document = _crowd(draw, scale)
     else:
         document = meeting(draw, scale=scale, most_bodies=MOST_BODIES, drift=DRIFT)
-    # draws the keys that any scene may have; most keep their default
+    # draws the keys that any scene may have; most keys keep their default
     time, contact, gravity = document["time"], document["contact"], document["gravity"]
     T = scale.L / scale.U
     _bound(draw, document, scale)
@@ -119,7 +120,7 @@ def _drawn(draw: Draw) -> Drawn:
 
 
 def _suit(document: Document) -> None:
-    """Remove the parts that the integrator refuses."""
+    """Remove what the integrator refuses."""
     time, contact = document["time"], document["contact"]
     if "drag" in document and time["integrator"] != "auto":
         time["integrator"] = "leapfrog"
@@ -175,7 +176,7 @@ def _bound(draw: Draw, document: Document, scale: Scales) -> None:
 
 
 def _move_planes(draw: Draw, document: Document) -> None:
-    """Let planes move in some scenes, by about a radius during the run, with random numbers of their own."""
+    """Let planes move by about a radius in some scenes; these draws have random numbers of their own."""
     time, planes, bodies = document["time"], document.get("plane", []), document.get("body", [])
     steps_by_impulse = time.get("integrator", "auto") in ("auto", "leapfrog") and "accuracy" not in time
     refused = not steps_by_impulse or "drag" in document or document["contact"].get("enabled") is False
@@ -238,7 +239,8 @@ def _column(draw: Draw, scale: Scales) -> Document:
     """Draw a column that gets heavier upwards, by masses or by radii of one density, over a plane or a wall."""
     L, U, M = scale
     count, gap, aside = draw.integer(2, 5), draw.choice(0.0, 1e-3, 0.01, 0.05), draw.choice(0.0, 0.0, 1e-9, 1e-3)
-    decades = draw.choice(1.0, 3.0, 6.0) / (count - 1)  # per ball; beyond 10⁶ in all, rounding shows in the ledger
+    # decades per ball; if the whole ratio exceeds 10⁶, rounding shows in the ledger
+    decades = draw.choice(1.0, 3.0, 6.0) / (count - 1)
     bodies: list[Document] = []
     z, grows = 0.0, draw.choice(False, True)
     for number in range(count):
@@ -270,7 +272,7 @@ def _column(draw: Draw, scale: Scales) -> Document:
 
 
 def _groups(draw: Draw, scale: Scales) -> Document:
-    """Draw groups, whose bodies carom places; some groups are beside a body or over a plane."""
+    """Draw groups of bodies, which carom places; some groups are beside a body or over a plane."""
     document, L = meeting(draw, scale=scale, most_bodies=1), scale.L
     extent = L * draw.choice(6.0, 10.0)
     document["group"] = [_group(draw, scale, extent) for _ in range(draw.choice(1, 1, 2))]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from carom.scene.load import Scene
     from carom.scene.start import InitialBodies
 
-EVERY = 10.0  # s between two lines of progress where there is no terminal
+EVERY = 10.0  # s between two lines of progress if there is no terminal
 
 
 def shrink_command(
@@ -75,7 +75,7 @@ def shrink_command(
     """Find the smallest scene that still fails in the same way, and write it as a scene file.
 
     The search removes time, bodies, parts of the model, keys and digits, as long as the failure remains. After Ctrl-C
-    or the end of the budget, the file contains the smallest scene so far; the same command continues from it.
+    or the end of the budget, the file contains the smallest scene so far, from which the same command continues.
     """
     from dataclasses import asdict
     from math import inf
@@ -142,7 +142,7 @@ def _reduced(
 
 @contextmanager
 def _watched(reducer: Reducer) -> Iterator[None]:
-    """Show the progress on a terminal, or a line for each stage elsewhere."""
+    """Show the progress on a terminal; without a terminal, print a line for each stage."""
     from carom.terminal.compilation import announce_compilation
     from carom.terminal.console import Terminal
 
@@ -175,7 +175,7 @@ def _line(progress: ReducerProgress) -> str:
 def _lines(result: Reduction, path: Path) -> Iterator[str]:
     bodies, steps = result.before
     left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')} are left"
-    if result.steps > steps:  # steps may change with fewer bodies
+    if result.steps > steps:  # the run may have more steps with fewer bodies
         left = (
             f"{result.bodies} of {counted(bodies, 'body')} are left, and {counted(steps, 'step')} became {result.steps}"
         )

@@ -20,7 +20,7 @@ _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
 _PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
 _WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")
 _INVARIANCE = re.compile(r"\s*invariance ([a-z]+)\s*")
-_ABOUT = {  # moments that a summary names, by related names
+_ABOUT = {  # moments in a summary, by the names to which they relate
     "energy_error": re.compile(r"energy\.|moments\.energy_error"),
     "overlap": re.compile(r"contacts\.max_overlap|moments\.overlap"),
     "impact": re.compile(r"moments\.impact"),
@@ -67,7 +67,7 @@ def condition_from(text: str | None) -> Condition:
 class MissedPromise(Condition):
     """A missed promise of [expect]."""
 
-    name: str = ""  # name of the criterion; empty: the first missed one
+    name: str = ""  # name of the criterion; empty: the first missed criterion
     note: str | None = None  # explains the measured value; None before the first run
     or_error: bool = False  # whether a run that ends with an error also meets the condition
 
@@ -82,7 +82,7 @@ class MissedPromise(Condition):
             raise ExperimentError(f"--while {self.text}: no promise {self.name}; {hint}")
 
     def pinned(self, seen: Observation) -> Condition:
-        """Return the condition that the same quantity misses the same promise."""
+        """Return the condition that the same promise is missed by the same quantity."""
         if seen.error and self.or_error:
             return Failed("PhysicsError").pinned(seen)
         if seen.error:
@@ -122,7 +122,7 @@ class Measured(Condition):
     failed: bool = False  # whether the run ends with a PhysicsError
 
     def check(self, seen: Observation) -> None:
-        """Check all names except those of moments, which may not exist yet."""
+        """Check all names, except names of moments, which may not exist yet."""
         for name in self.expression.unknown(seen.summary):
             if not name.startswith("moments."):
                 raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
@@ -165,13 +165,13 @@ class Measured(Condition):
 class Met(Condition):
     """An impact of two bodies, or of a body and a plane."""
 
-    first: str  # a number or name
+    first: str  # number or name of one end
     second: str
     pair: Pair | None = None  # names of the pair's ends; None before the first run
     needs_impacts = True
 
     def check(self, seen: Observation) -> None:
-        """Check that there are such bodies."""
+        """Check that the named bodies exist."""
         self._pair(seen)
 
     def pinned(self, seen: Observation) -> Met:
@@ -238,10 +238,10 @@ class Sunk(Condition):
 class Warned(Condition):
     """A warning of the run."""
 
-    kind: str = ""  # empty: any
+    kind: str = ""  # kind of the warning; empty: any kind
 
     def check(self, seen: Observation) -> None:
-        """Check that there are such warnings."""
+        """Check that this kind of warning exists."""
         if self.kind and self.kind not in WARNINGS:
             raise ExperimentError(f"--while {self.text}: no warning {self.kind}; {suggestion(self.kind, WARNINGS)}")
 

@@ -18,18 +18,18 @@ from carom.plan.features import require
 from carom.scene.load import Scene
 from carom.state.frame import Frame
 
-Met = tuple[int, int]  # two bodies that touched in a step
+Met = tuple[int, int]  # numbers of two bodies that touched in a step
 
 
 def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
-    """Leave out bodies; return whether any was left out.
+    """Leave out bodies; return whether any body was left out.
 
-    First try to keep only the bodies involved, and bodies that affect them by contacts or are near.
+    First try to keep only the bodies that show the failure, and bodies that affect them by contacts or are near.
     """
     base, before = smallest.document, smallest.bodies
     suspects = {number for number, body in enumerate(base[BODIES]) if body["name"] in smallest.suspects}
     if 0 < len(suspects) < before:
-        touching: list[list[Met]] = []  # pairs of each step
+        touching: list[list[Met]] = []  # touching pairs in each step
 
         def add(seen: Observation, frame: Frame) -> bool:
             tables = [rows for rows in (frame.impacts, frame.contact_rows) if rows is not None]
@@ -59,7 +59,7 @@ def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
 def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[int]]:
     """Yield growing sets: some bodies, then also the bodies that touched them, then their backward cone.
 
-    ``steps`` has the touching pairs of each step. Numbers from ``count`` on are planes, which have no cone.
+    ``steps`` has the touching pairs of each step. Numbers from ``count`` on are planes, and planes have no cone.
     """
     yield set(bodies)
     every_pair = [pair for step in steps for pair in step if max(pair) < count]
@@ -105,14 +105,15 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
     return kept
 
 
-# Drops parts of the model in the order of their requirements, then every key whose default fails as well.
+# Drops parts of the model in the order of their requirements, then every key with whose default value the scene still
+# fails.
 _KEPT = {("title",), ("time", "duration")}  # keys that are never dropped
 _KEPT_OF_BODIES = {"name", "position"}
 _LISTS = ("plane", "wall", "pair", "material")  # lists of tables other than the bodies
 
 
 def drop_parts(smallest: Smallest) -> bool:
-    """Drop whole parts of the model; return whether any was dropped."""
+    """Drop whole parts of the model; return whether any part was dropped."""
     changed = False
     for candidate in _without_parts(smallest):
         before, after = _modelled(smallest.document), _modelled(candidate)
@@ -123,7 +124,7 @@ def drop_parts(smallest: Smallest) -> bool:
 
 
 def set_defaults(smallest: Smallest) -> bool:
-    """Leave out sections and keys whose defaults add no part of the model; return whether any was left out."""
+    """Leave out sections and keys whose defaults add no part of the model; return whether anything was left out."""
     changed = False
     for candidate in _with_defaults(smallest):
         before, after = _modelled(smallest.document), _modelled(candidate)
@@ -207,12 +208,12 @@ def _of_all_bodies(smallest: Smallest, key: str) -> Document:
 
 # Writes every number with the fewest digits that still show the failure.
 MOST_DIGITS = 17
-_FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that define a position or a velocity at rest
-_NOT_ROUNDED = {"expect"}  # sections with numbers that define a failure
+_FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that tie the scene to a position or to a frame at rest
+_NOT_ROUNDED = {"expect"}  # sections whose numbers define a failure
 
 
 def round_numbers(smallest: Smallest) -> bool:
-    """Shorten numbers, first all together, then one by one; return whether any was shortened."""
+    """Shorten numbers, first all together, then one by one; return whether any number was shortened."""
     changed = _move_frame(smallest)
     for digits in range(1, MOST_DIGITS):
         document = smallest.document
@@ -231,7 +232,7 @@ def round_numbers(smallest: Smallest) -> bool:
 
 
 def rounded(value: float, digits: int) -> float:
-    """Round to ``digits`` significant digits; with 0 digits to 0."""
+    """Round to ``digits`` significant digits; with 0 digits, return 0."""
     return float(f"{value:.{digits - 1}e}") if digits else 0.0
 
 
@@ -241,7 +242,7 @@ def digits_of(value: float) -> int:
 
 
 def _move_frame(smallest: Smallest) -> bool:
-    """Subtract the position and the velocity of the first body from all, where only differences matter."""
+    """Subtract the first body's position and velocity from all bodies, if only differences matter."""
     if any(key in smallest.document for key in _FIXED_FRAME):
         return False
     changed = False

@@ -27,7 +27,8 @@ KeyPath = tuple[str | int, ...]  # keys of tables and indices of lists
 
 BODIES = "body"
 ORIGIN = [0.0, 0.0, 0.0]  # default of each vector of a body; a vector equal to it is left out
-_NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}  # keys of a scene
+# keys of a scene that are not copied
+_NOT_COPIED = {"body", "bodies", "group", "sweep", "promise", "description", "units"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,7 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
 
 
 def bodies_of(start: InitialBodies, materials: Sequence[str] | None = None) -> list[Document]:
-    """Return a table for each body, with the name of its material if it has one."""
+    """Return a table for each body, with the name of its material if it has a material."""
     bodies = []
     for k, name in enumerate(start.name):
         body: Document = {"name": name, "position": start.position[k].tolist()}
@@ -86,7 +87,7 @@ def bodies_of(start: InitialBodies, materials: Sequence[str] | None = None) -> l
                 body[key] = vector.tolist()
         body |= {"radius": float(start.radius[k]), "mass": float(start.mass[k])}
         material = DEFAULT if materials is None else materials[k]
-        # a moment of inertia may follow from the material
+        # the moment of inertia is written unless the material determines it
         if (factor := _inertia_factor(start, k)) != SOLID or material != DEFAULT:
             body["inertia_factor"] = factor
         if start.fixed[k]:
@@ -157,9 +158,9 @@ def _plain(value: Any) -> Any:
 
 
 def source_of(given: str, overrides: list[str]) -> tuple[Scene, InitialBodies]:
-    """Read a scene and its bodies; a recording or a bundle gives the bodies of its first checkpoint.
+    """Read a scene and its bodies; for a recording or a bundle, the bodies come from the first checkpoint.
 
-    Raises SceneError or RecordingError if there is none, or the recording cannot be run again.
+    Raises SceneError or RecordingError if there is no checkpoint, or the recording cannot be run again.
     """
     path = Path(given)
     recorded = False

@@ -1,4 +1,4 @@
-"""Reduces a scene to the smallest one that shows a failure: its beginning and end, and the order of the passes."""
+"""Reduces a scene to the smallest scene that shows a failure: the passes over its time, and the order of all passes."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from carom.scene.start import InitialBodies
 from carom.scene.wording import counted
 from carom.state.frame import Frame
 
-ROOM = 200_000_000  # bytes for stored states of a run
+ROOM = 200_000_000  # most bytes for stored states of a run
 ROUNDING = 1e-9  # fraction of the duration by which a sum of steps may fall short
-STEPS_AFTER = (0, 1, 3)  # steps added after the failure, since a shorter run has other steps
+STEPS_AFTER = (0, 1, 3)  # numbers of steps added after the failure, since a shorter run has other steps
 
 
 @dataclass(slots=True)
 class Chronicle:
-    """The states of a run up to the failure. When the memory is full, every other state is dropped."""
+    """The states of a run up to the failure. When the memory is full, every second state is dropped."""
 
     moments: list[BodyStates] = field(default_factory=list)
-    end: BodyStates | None = None  # the first state that shows the failure, or else the last
+    end: BodyStates | None = None  # the first state that shows the failure, or otherwise the last state
     shown: bool = False  # whether the run shows the failure
     _gap: int = 1  # frames from one kept state to the next
     _frames: int = 0
@@ -126,7 +126,7 @@ def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
             duration = (kept.end.time - moment.time) * (1.0 + ROUNDING) + after * kept.end.dt
             if smallest.takes_shorter(at_moment(document, moment, duration)):
                 return True
-        back = max(back + 1, back + back // 2)  # grows the intervals by half
+        back = max(back + 1, back + back // 2)  # the intervals grow by half
     return False
 
 
@@ -141,7 +141,7 @@ class Stage:
     name: str
     bodies: int
     steps: int
-    candidates: int  # so far
+    candidates: int  # candidates so far
 
 
 @dataclass(slots=True)
@@ -151,8 +151,8 @@ class ReducerProgress:
     stage: str = "running the scene"
     bodies: int = 0
     steps: int = 0
-    candidates: int = 0  # candidates so far, with the running one
-    kept: int = 0  # of these
+    candidates: int = 0  # number of candidates so far, including the running candidate
+    kept: int = 0  # number of these candidates that were kept
     seconds: float = 0.0
 
 
@@ -168,7 +168,7 @@ class Reduction:
     stages: list[Stage]
     seconds: float
     candidates: int
-    kept: int  # candidates that show the failure; each replaced the previous one
+    kept: int  # number of candidates that show the failure; each replaced the previous smallest scene
     stopped: str = ""  # the reason for an early end; empty if nothing more can be left out
 
     @property
@@ -184,7 +184,8 @@ class Reducer:
     condition: Condition  # the failure to keep
     seconds: float = math.inf  # the budget
     watch: Callable[[ReducerProgress], None] = lambda progress: None  # called before each candidate and after a success
-    keep: Callable[[Document, str], None] = lambda document, said: None  # called with each smaller scene and its error
+    # called with each smaller scene and its failure
+    keep: Callable[[Document, str], None] = lambda document, said: None
     before: tuple[int, int] | None = None  # bodies and steps of the original scene, if an earlier reduction began there
     workers: int | None = 1  # processes for candidates of delta debugging; None: one for each core; 1: this process
     _progress: ReducerProgress = field(default_factory=ReducerProgress)
@@ -225,7 +226,7 @@ class Reducer:
     def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
         """Run the scene up to the failure; return it with bodies written out, and the first pass over its time."""
         trials.budget.check()
-        threads = 1 if trials.condition.of_whole_run else None  # the condition compares numbers of threads
+        threads = 1 if trials.condition.of_whole_run else None  # None, since the condition compares numbers of threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
         kept, seen = chronicle(space, trials, first=trials.condition.check)
         trials.condition = trials.condition.pinned(seen)
@@ -250,7 +251,7 @@ class Reducer:
                 raise ExperimentError(_GOES_AWAY)
             cut_both_ends(smallest, kept)
         elif not begin_late(smallest, whole, kept):
-            # begins at the start of the run, with every body written out
+            # the scene begins at the start of the run, with every body written out
             assert kept.end is not None
             duration = kept.end.time if kept.shown else 0.0
             ends = [duration, duration + kept.end.dt] if duration else []
@@ -260,7 +261,7 @@ class Reducer:
         self._end_stage("cut time", smallest, trials)
 
     def _pass_all(self, smallest: Smallest, cut: Callable[[], None], trials: Trials) -> str:
-        """Shorten the run, then repeat all passes until no pass changes the scene; return why they ended early."""
+        """Shorten the run, then repeat all passes until no pass changes the scene; return why passes ended early."""
         passes: dict[str, Callable[[], bool]] = {
             "left out bodies": lambda: leave_out_bodies(smallest, trials),
             "cut time": lambda: cut_time(smallest, trials),

@@ -37,7 +37,7 @@ class Earlier:
 
 
 def earlier(path: Path, key: str) -> Earlier | None:
-    """Return the earlier result in a file; None if it is the result of another reduction."""
+    """Return the earlier result in a file; None if the file belongs to another reduction."""
     try:
         with path.open(encoding="utf-8") as file:
             found = _MARK.search(file.read(_HEAD))
@@ -64,10 +64,11 @@ def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
         return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
     bodies, steps = before
     taken = f"{counted(reduction.steps, 'step')} of {steps}"
-    if reduction.steps > steps:  # steps may change with fewer bodies
+    if reduction.steps > steps:  # the run may have more steps with fewer bodies
         taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
-    told: list[Stage] = []  # the first stage of each name, and all stages that changed the number of bodies or steps
+    # reported stages: the first of each name, and all that changed the number of bodies or steps
+    told: list[Stage] = []
     for stage in reduction.stages:
         known = any(stage.name == other.name for other in told)
         if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
@@ -90,20 +91,20 @@ def _mark(key: str, before: tuple[int, int], state: str) -> str:
 
 
 def write(path: Path, text: str) -> None:
-    """Replace a file atomically, so that an interrupt leaves a whole file. Raises RecordingError if that fails."""
+    """Replace a file atomically, so that an interrupt leaves a whole file. Raises RecordingError if it fails."""
     try:
         write_whole(path, text)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror}") from None
 
 
-WIDTH = 110  # characters of a comment
+WIDTH = 110  # most characters in a line of a comment
 
 
 def commented(document: Document, comments: list[str]) -> str:
     """Return the text of a scene with comments above it, each a paragraph, and one line for each body.
 
-    Control characters in its texts are escapes, as in `toml_text`.
+    Control characters in the scene's texts become escapes, as in `toml_text`.
     """
     written = tomlkit.document()
     for paragraph in comments:

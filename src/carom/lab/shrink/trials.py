@@ -31,7 +31,7 @@ from carom.state.frame import Frame
 class Condition(ABC):
     """A failure of a run. A condition is evaluated after every recorded frame, for the run so far."""
 
-    text: str  # as given
+    text: str  # text of the condition, as given
     needs_impacts = False  # whether the condition depends on the impacts of the run
     of_whole_run = False  # whether the condition is evaluated only at the end
 
@@ -83,7 +83,7 @@ class Budget:
 
     @property
     def reason(self) -> str:
-        """Why the reduction has ended; empty while it continues."""
+        """The reason why the reduction has ended; empty while it continues."""
         if self._interrupts.count:
             return f"stopped by {self._interrupts.sender}"
         return "the budget was spent" if self.spent > self._seconds else ""
@@ -115,7 +115,7 @@ class Budget:
         self.check()
 
 
-STEPS_MORE = 4  # step limit of a candidate, in multiples of the smallest scene's steps so far
+STEPS_MORE = 4  # step limit of a candidate, in multiples of the steps of the smallest scene so far
 FEWEST_STEPS = 2000
 
 
@@ -126,7 +126,7 @@ class EveryUpTo(Every):
     last: int
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Return whether a step passes a multiple or is the last."""
+        """Return whether a step passes a multiple, or is the last step."""
         return step == self.last or Every.__call__(self, step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
@@ -180,8 +180,8 @@ class Trials:
     steps: int = FEWEST_STEPS  # steps of the smallest scene so far
     count: int = 0  # candidates that ran
     watch: Callable[[], None] = lambda: None  # called before each candidate runs
-    judges: Judges | None = None  # processes that judge several candidates at a time, where a candidate takes long
-    _seconds: float = 0.0  # of the last candidate
+    judges: Judges | None = None  # processes that judge several candidates at a time if a candidate takes long
+    _seconds: float = 0.0  # s, duration of the last candidate
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show the failure
 
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
@@ -205,8 +205,8 @@ class Trials:
     def promising(self, documents: list[Document], number: int) -> int | None:
         """Return the number of the next candidate that may show the failure; None if there is none.
 
-        Without judges, that is the next candidate. With judges, which work ahead, that is the first candidate that
-        shows the failure.
+        Without judges, this is simply the next candidate. Judges work ahead, so with them it is the first candidate
+        that shows the failure.
         """
         rest = documents[number:]
         if self.judges is None or not self.judges.pay(self._seconds, len(rest)):
@@ -237,8 +237,8 @@ class Trials:
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
-START = 6.0  # s, about twice the time that workers take to start
-MIN_SECONDS_TO_SEND = 0.05  # s, shortest run sent to a worker; sending takes about as long
+START = 6.0  # s, about twice the time in which workers start
+MIN_SECONDS_TO_SEND = 0.05  # s, s, shortest run that is sent to a worker; sending takes about as long
 AHEAD = 2  # candidates sent ahead to each worker
 _TICK = 0.1  # s between two checks of the budget
 
@@ -261,7 +261,8 @@ def execute(task: Task) -> bool:
 class Judges:
     """Processes that judge candidates, started once candidates take long enough; ``None`` means one for each core.
 
-    The result does not depend on them: among several candidates, the first in order that shows the failure is chosen.
+    The result does not depend on the processes: among several candidates, the first in order that shows the failure is
+    chosen.
     """
 
     def __init__(self, count: int | None) -> None:
@@ -326,7 +327,7 @@ class Smallest:
     ) -> None:
         self._trials = trials
         self._taken = taken
-        self.kept = 0  # adopted candidates
+        self.kept = 0  # number of adopted candidates
         self._keep(document, seen)
 
     def _keep(self, document: Document, seen: Observation) -> None:
@@ -347,11 +348,11 @@ class Smallest:
         return len(self.document[BODIES])
 
     def takes_shorter(self, document: Document) -> bool:
-        """Adopt a candidate if it shows the failure in fewer steps."""
+        """Adopt a candidate if it shows the failure in fewer steps than the smallest scene."""
         return self.steps > 1 and self.takes(document, self.steps - 1)
 
     def takes_as_short(self, document: Document) -> bool:
-        """Adopt a candidate if it shows the failure in no more steps."""
+        """Adopt a candidate if it shows the failure in no more steps than the smallest scene."""
         return self.takes(document, max(self.steps, 1))
 
     def takes(self, document: Document, steps: int | None = None) -> bool:

@@ -1,10 +1,10 @@
-"""Conditions on whole runs, which no single frame shows: invariances, replays that differ, shorter steps, commands.
+"""Conditions on whole runs that no single frame can show: invariances, replays that differ, shorter steps, commands.
 
-An invariance compares a scene with its image, which must have the same motion: in other units, mirrored, translated,
-rotated or renumbered. The image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order.
-Powers of two and changes of sign are exact in floating point, so images that use only these must have the same bits.
-Other images may deviate as much as runs whose initial states are rounded, times a factor for the roundings of all
-steps.
+An invariance compares a scene with its image: the scene in other units, mirrored, translated, rotated or renumbered.
+The image must have the same motion. The image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in
+another order. Powers of two and changes of sign are exact in floating point, so images that use only these must have
+the same bits. Other images may deviate as much as runs from rounded initial states do, times a factor for the roundings
+in all steps.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ from carom.scene.wording import suggestion
 from carom.state.checkpoint import Checkpoint
 
 EPS = float(np.finfo(np.float64).eps)
-PERTURBED = 6  # runs that measure the growth of roundings
-ROUNDINGS = 1e3  # allowed deviation of an image over that of these runs: it is rounded in each step, not once
-KNOWN = 1e-6  # growth of roundings, relative to the extent, beyond which there is no verdict
+PERTURBED = 6  # number of runs that measure the growth of roundings
+ROUNDINGS = 1e3  # allowed deviation of an image relative to these runs: an image is rounded in each step, not only once
+KNOWN = 1e-6  # largest growth of roundings, relative to the extent, for which there is a verdict
 FINER = 16  # factor on the number of steps: the error falls by 16 at order 1, by 256 at order 2
 FALLS = 64.0  # smallest decrease of the error by an integrator of order 2 or more
 
@@ -52,8 +52,8 @@ FALLS = 64.0  # smallest decrease of the error by an integrator of order 2 or mo
 class Image:
     """A transformation of scenes."""
 
-    matrix: FloatArray = field(default_factory=lambda: np.eye(3))  # A, orthogonal
-    length: float = 1.0  # L
+    matrix: FloatArray = field(default_factory=lambda: np.eye(3))  # orthogonal matrix A
+    length: float = 1.0  # factor L
     mass: float = 1.0
     time: float = 1.0  # T
     shift: FloatArray = field(default_factory=lambda: np.zeros(3))  # s
@@ -144,7 +144,7 @@ class FinalState:
         try:
             for _ in space.run(schedule=every(space.scene.time.duration)):
                 pass
-        except Exception as raised:  # a fault in the engine, which may be the failure itself
+        except Exception as raised:  # a fault in the engine may be the failure itself
             error = said_by(raised)
         return cls(space.step, space.time, space.state.position.copy(), space.state.velocity.copy(), error)
 
@@ -188,7 +188,7 @@ def moved_by_shorter_steps(
 class Varies(Condition):
     """The violation of an invariance."""
 
-    name: str  # of `INVARIANCES`
+    name: str  # name in `INVARIANCES`
     of_whole_run = True
 
     def check(self, seen: Observation) -> None:
@@ -232,12 +232,13 @@ def applies(name: str, scene: Scene) -> bool:
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
         case "arrays":
-            # with a group, the step follows from its smallest possible radius; with arrays, from the smallest of all
+            # with a group, the step follows from the smallest radius that the group allows; with arrays, from the
+            # smallest radius present
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts or scene.admits)
         case "boost" if scene.plane or scene.anchored:
             return False
-        case _ if scene.admits:  # images have no inlets and outlets
+        case _ if scene.admits:  # images cannot have inlets or outlets
             return False
     # ties at borders of a tree or a box break the symmetry, and walls have an order
     return not (scene.group or scene.domain.boundary != "open" or scene.wall or needs.tree.modelled)
@@ -285,7 +286,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
 
 
 def _grown(document: Document, here: FinalState, reach: float, speed: float) -> float:
-    """Return the distance (m) of runs whose starts differ by the rounding of a position and a speed."""
+    """Return the final distance (m) between runs whose starts differ by the rounding of a position and a speed."""
     found = 0.0
     for seed in range(PERTURBED):
         rng = np.random.default_rng(seed)
@@ -309,14 +310,14 @@ def _by_shorter_steps(scene: Scene) -> str:
     assert scene.time.fixed_dt is not None, "the steps are fixed"
     shorter = scene.time.model_copy(update={"fixed_dt": scene.time.fixed_dt / FINER})
     coarse, fine = _energy_error(scene), _energy_error(scene.model_copy(update={"time": shorter}))
-    floor = 1e-11  # error over the energy scale: some 10⁵ roundings
+    floor = 1e-11  # smallest error that counts, relative to the energy scale: some 10⁵ roundings
     if coarse is None or fine is None or fine <= max(coarse / FALLS, floor):
         return ""
     return f"the energy error is {coarse:.3g}, and {fine:.3g} with steps {FINER} times shorter: it decreases too little"
 
 
 def _energy_error(scene: Scene) -> float | None:
-    """Run a scene; return its largest energy error over the scale, None if the run fails."""
+    """Run a scene; return its largest energy error relative to the scale; None if it fails."""
     energies = (frame.energy for frame in Space(scene, threads=1).run(schedule=every(0.0)))
     try:
         return max((one.relative_error for one in energies), default=0.0)
@@ -387,7 +388,7 @@ class CommandShows(Condition):
 class ReplayDiffers(Condition):
     """Two runs with different bits: with other threads, from a checkpoint, or with the other search."""
 
-    difference: str = ""  # empty: any
+    difference: str = ""  # name of the run that differs; empty: any run
     of_whole_run = True
 
     def pinned(self, seen: Observation) -> ReplayDiffers:

@@ -1,11 +1,11 @@
 """The data of the statistics, from the frames of an interval.
 
-The interval begins and ends with a frame, so that the time in which impacts are counted is exact. The recording has
-impacts, contacts and drawn positions, but exact velocities only at checkpoints. With ``replay``, impacts, contacts and
-velocities are computed again.
+The interval begins and ends with a frame, so that the length of time in which impacts are counted is exact. The
+recording has impacts, contacts and drawn positions at frames, but exact velocities only at checkpoints. With
+``replay``, impacts, contacts and velocities are computed again.
 
-In a busy run, only the largest impacts have rows of their own. Means and totals therefore come from the sums over all
-impacts that each frame has; only histograms need the rows.
+In a busy run, only the largest impacts have rows of their own. Each frame has sums over all impacts. Means and totals
+come from these sums; only histograms need the rows.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from carom.scene.wording import command
 
 Watcher = Callable[[StepStatus], None]
 
-_POINT, _NORMAL, _VELOCITY = ("x", "y", "z"), ("nx", "ny", "nz"), ("vx", "vy", "vz")  # columns of tables
+_POINT, _NORMAL, _VELOCITY = ("x", "y", "z"), ("nx", "ny", "nz"), ("vx", "vy", "vz")  # names of columns
 MOST_STATES = 64  # most exact states whose velocities are used
 MOST_CONTACT_FRAMES = 32
 MOST_VELOCITIES = 2_000_000  # most velocities in memory, summed over these states
@@ -45,7 +45,7 @@ MOST_CONTACTS = 2_000_000  # most bodies, summed over the frames whose contacts 
 
 
 class NothingThereError(RecordingError):
-    """An interval without impacts, or without lasting contacts."""
+    """The interval has no impacts, or no lasting contacts."""
 
 
 class ContactColumns(NamedTuple):
@@ -59,7 +59,7 @@ class ContactColumns(NamedTuple):
     normal: FloatArray  # (k, 3) unit vector from i to j
     impulse: FloatArray  # (k,) N s, impulse along the normal
     force: FloatArray  # (k,) N, force along the normal
-    friction: FloatArray  # (k,) N
+    friction: FloatArray  # (k,) N, magnitude of friction
 
 
 class ImpactColumns(NamedTuple):
@@ -71,7 +71,7 @@ class ImpactColumns(NamedTuple):
     j: IntArray  # (k,) second body; numbers from n on are planes and walls
     point: FloatArray  # (k, 3) m
     normal: FloatArray  # (k, 3) unit vector from i to j
-    speed: FloatArray  # (k,) m/s, of approach
+    speed: FloatArray  # (k,) m/s, speed of approach
     impulse: FloatArray  # (k,) N s, impulse along the normal
 
 
@@ -80,7 +80,7 @@ class Interval:
     """An interval of a recording, which begins and ends with a frame."""
 
     recording: Recording
-    step: IntArray  # (f,) of the frames
+    step: IntArray  # (f,) steps of the frames
     time: FloatArray  # (f,) s
     replay: bool
     watch: Watcher
@@ -128,7 +128,7 @@ class Interval:
             raise RecordingError(f"{what} in a sheared box cannot be measured yet, since its images move")
 
     def _relative_to_flow(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
-        """Return velocities relative to the flow of a sheared box, (n, 3) m/s; without shear they are unchanged."""
+        """Return velocities relative to the flow of a sheared box, (n, 3) m/s; unchanged without shear."""
         shear = self.recording.shear
         if shear is None:
             return velocity
@@ -163,7 +163,7 @@ class Interval:
 
     @cached_property
     def _impact_table(self) -> tuple[pa.Table, ImpactSums | None]:
-        """The impacts that have rows, and the sums over all impacts; None if unknown."""
+        """The impacts that have rows, and the sums over all impacts (None if unknown)."""
         first, last = self.step[[0, -1]].tolist()
         if self.recording.records_contacts and not self.replay:
             table = self.recording.impacts(self.time[0], self.time[-1])
@@ -179,8 +179,8 @@ class Interval:
         """Sums over all impacts after the first frame; `NothingThereError` if there are none.
 
         If the recording lacks sums, rows are summed; RecordingError if some impacts have no rows. Path lengths, the
-        kinetic stress and the losses of pairs cannot be computed from rows, and are NaN. The virial lacks its part by
-        friction.
+        kinetic stress and the losses of pairs cannot be computed from rows, and are NaN. The virial lacks the
+        contribution of friction.
         """
         known = self._sums
         if known is None:
@@ -220,7 +220,7 @@ class Interval:
     def _sums_of(self, rows: ImpactColumns) -> ImpactSums:
         """Add up all impacts."""
         groups, group = np.unique(self.recording.bodies.group, return_inverse=True)
-        group = np.append(group, len(groups))  # of planes and walls
+        group = np.append(group, len(groups))  # group of planes and walls
         ends = np.minimum(np.stack([rows.i, rows.j]), self.bodies)
         moves = np.append(self.moving, False)
         pairs, which, counts = np.unique(np.sort(group[ends], axis=0), axis=1, return_inverse=True, return_counts=True)
@@ -287,7 +287,8 @@ class Interval:
             speed = closing_speeds(contacts, before)
             pairs = _pairs(contacts)
             begins = ~np.isin(pairs, touching) & (contacts["normal_impulse"] > 0.0) & (speed > 0.0)
-            _, first = np.unique(pairs[begins], return_index=True)  # a pair may have several points of contact
+            # one row per pair, since a pair may have several points of contact
+            _, first = np.unique(pairs[begins], return_index=True)
             kept = np.flatnonzero(begins)[np.sort(first)]
             found.append(contacts[kept])
             speeds.append(speed[kept])
@@ -349,10 +350,10 @@ class Interval:
         return ContactColumns(moving, float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
 
     def held_part(self, dt: FloatArray) -> FloatArray:
-        """Return the impulse that balances a constant force in steps of lengths dt (s), over force times dt; (k,).
+        """Return the impulse that balances a constant force in steps dt (s), divided by force times dt, (k,).
 
-        Without drag, the ratio is 1. Drag removes a part of the first kick's momentum, so the ratio is (h φ₂ + k₂)/h
-        (docs/physics.md, section 6).
+        Without drag, this ratio is 1. Drag removes a part of the momentum of the first kick, and the ratio is (h φ₂ +
+        k₂)/h (docs/physics.md, section 6).
         """
         if self.scene is None or self.scene.drag is None:
             return np.ones(len(dt))
@@ -388,7 +389,7 @@ class Interval:
 
     @property
     def is_partly_empty(self) -> bool:
-        """Whether planes, walls or a field between walls may confine the bodies to a part of the volume."""
+        """Whether bodies may be confined to a part of the volume, by planes, walls, or a field between walls."""
         scene = self.scene
         if scene is None:
             return False

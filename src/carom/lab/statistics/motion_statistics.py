@@ -2,7 +2,7 @@
 
 A body's path is the polyline through its positions in the frames and at its impacts. It continues across the faces of a
 periodic box and follows curved paths in a field. At an impact, the centre is one radius from the contact point.
-Histograms contain only complete paths, so they lack some long paths, which the ends of the interval cut off. The means
+Histograms contain only complete paths: they lack some long paths that the ends of the interval cut off. The means
 have no such error: they are the time and the length of all paths, divided by the number of impacts
 (docs/statistics.md). Means and totals come from `ImpactSums`.
 
@@ -11,16 +11,17 @@ velocity along the normal is Gaussian, and fast pairs meet more often (Chapman &
 
 Velocities c are relative to the centre of mass. The fourth cumulant is a₂ = 3⟨c⁴⟩/(5⟨c²⟩²) - 1, the coefficient of the
 second Sonine polynomial (van Noije & Ernst, Granular Matter 1, 57, 1998): 0 for a Maxwellian, above 0 if fast bodies
-are more frequent. c is weighted with √m, so that bodies of different masses at one temperature have one distribution.
+are more frequent. The velocity c is weighted with √m, so that bodies of different masses at one temperature have the
+same distribution.
 
 A sample of N velocities has D = 3 (N - 1) degrees of freedom. The mean of ⟨c⁴⟩/⟨c²⟩² over samples of a Maxwellian is
 5/3 D/(D + 2), so the ratio of a sample is multiplied by (D + 2)/D. The variance of a₂ is 8/(15 N).
 
-The stress is σ = (1/V) [⟨Σ m c ⊗ c⟩ + (1/t) Σ ℓ ⊗ J + Σ ℓ ⊗ J over frames / Σ dt]: momentum that bodies carry, and
-momentum that impacts of the interval and lasting contacts in the steps of some frames transfer. J is the impulse on j,
-without friction for lasting contacts, and ℓ points from the centre of i to the centre of j, or to a plane. Compression
-is positive. Irving & Kirkwood, J. Chem. Phys. 18, 817 (1950); Love and Weber for contacts, as in Christoffersen,
-Mehrabadi & Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
+The stress is σ = (1/V) [⟨Σ m c ⊗ c⟩ + (1/t) Σ ℓ ⊗ J + Σ ℓ ⊗ J over frames / Σ dt]: the momentum that bodies carry, the
+momentum that impacts of the interval transfer, and the momentum that lasting contacts transfer in the steps of some
+frames. J is the impulse on j, without friction for lasting contacts, and ℓ points from the centre of i to the centre of
+j, or to a plane. Compression is positive. Irving & Kirkwood, J. Chem. Phys. 18, 817 (1950); Love and Weber for
+contacts, as in Christoffersen, Mehrabadi & Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from carom.physics.vector import minimum_images
 from carom.scene.units.dimension import ENERGY, LENGTH, RATE, TIME, VELOCITY, Dimension
 
 _BEFORE, _IMPACT, _AFTER = range(3)  # kinds of vertices of a path, in order
-PLANES = "planes"  # the group of planes and walls
+PLANES = "planes"  # name of the group of planes and walls
 WIDTH = 5.0  # half-width of a histogram of velocities, in standard deviations
 BINS = 50
 PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "3 kPa")
@@ -49,7 +50,7 @@ class Paths(NamedTuple):
     """The paths of the moving bodies in an interval."""
 
     length: float  # m, total length of these paths
-    free_times: FloatArray  # (k,) s, from an impact of a body to its next one
+    free_times: FloatArray  # (k,) s, time from an impact of a body to its next impact
     free_paths: FloatArray  # (k,) m, length of the path in that time
 
 
@@ -114,7 +115,7 @@ def paths_of(interval: Interval) -> Paths:
         since += direct
         total += float(direct[moving].sum())
         if len(involved):
-            # vertices of the polylines: the position in the previous frame, at impacts, and in this frame
+            # vertices of the polylines: positions in the previous frame, at impacts, and in this frame
             whose = np.concatenate([involved, body, involved])
             kind = np.repeat([_BEFORE, _IMPACT, _AFTER], [len(involved), len(body), len(involved)])
             when = np.concatenate([last[involved], time, np.zeros(len(involved))])
@@ -152,7 +153,7 @@ def measure_impacts(interval: Interval) -> Statistic:
     if interval.impacts_left_out:
         return Statistic(values, rows=rows, note=_without_histogram(interval))
     histogram = Histogram.of("approach speed", interval.impacts.speed, VELOCITY)
-    scale = square / 2  # s², m²/s²
+    scale = square / 2  # s² of Rayleigh's distribution, m²/s²
     middle = (histogram.edges[1:] + histogram.edges[:-1]) / 2
     rayleigh = middle / scale * np.exp(-(middle**2) / (2 * scale)) if scale > 0.0 else None
     histogram = replace(histogram, expected=rayleigh, theory="Maxwell")
@@ -193,7 +194,7 @@ def measure_velocities(interval: Interval) -> Statistic:
     if not np.nan_to_num(weighted).any():
         raise RecordingError("all bodies are at rest")
     temperature = np.nanmean(weighted * weighted, axis=(1, 2))  # J, of each state
-    of_axes, note = np.nanmean(weighted * weighted, axis=1).mean(axis=0), ""  # each state has the same weight
+    of_axes, note = np.nanmean(weighted * weighted, axis=1).mean(axis=0), ""  # every state has the same weight
     kinetic = interval.kinetic
     if kinetic is not None and interval.recording.lives is None:  # otherwise the number of bodies changes
         of_axes = kinetic.diagonal() / len(mass)
@@ -245,7 +246,7 @@ def peculiar(velocity: FloatArray, mass: FloatArray) -> FloatArray:
 
 
 def fourth_cumulant(weighted: FloatArray) -> float:
-    """Return a₂ of peculiar velocities (n, 3), at least two."""
+    """Return a₂ of at least two peculiar velocities, (n, 3)."""
     square = (weighted * weighted).sum(axis=1)
     freedom = 3 * (len(square) - 1)
     with np.errstate(invalid="ignore"):  # bodies at rest have no direction
@@ -253,7 +254,7 @@ def fourth_cumulant(weighted: FloatArray) -> float:
 
 
 def measure_stress(interval: Interval) -> Statistic:
-    """Measure the mean stress in the box; without a box, the stress times the unknown volume."""
+    """Measure the mean stress in the box; without a box, the product of the stress and the unknown volume."""
     moving, recording = interval.moving, interval.recording
     kinetic = interval.kinetic
     if kinetic is None:
@@ -276,7 +277,7 @@ def measure_stress(interval: Interval) -> Statistic:
             sums = interval.sums
             impacts = sums.virial / interval.duration
             spread = sqrt(sums.virial_square) / (3 * interval.duration)
-            lacks_friction |= bool(np.isnan(sums.path))  # sums over rows
+            lacks_friction |= bool(np.isnan(sums.path))  # sums over rows have no path, and lack friction
     except NothingThereError:
         pass
     except RecordingError as error:

@@ -13,8 +13,8 @@ from carom.scene.units.dimension import Dimension
 from carom.scene.units.system import UnitSystem
 
 NUMBER = Dimension("number", "", (0, 0, 0, 0), "3")
-MOST_BINS = 40  # of a histogram
-TAIL = 0.995  # fraction of the values that a histogram shows; the largest would stretch the axis
+MOST_BINS = 40  # most bins of a histogram
+TAIL = 0.995  # fraction of the values that a histogram shows; the largest values would stretch the axis
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Histogram:
     label: str  # label of the quantity at the edges
     edges: FloatArray  # (b + 1,)
     values: FloatArray  # (b,) density of the distribution in 1/dimension, or values of the function
-    dimension: Dimension = NUMBER  # of the edges
+    dimension: Dimension = NUMBER  # dimension of the edges
     function: str = ""  # label of the function; empty for a density
     expected: FloatArray | None = None  # (b,) values of the theory
     theory: str = ""  # the name of the theory
@@ -47,7 +47,7 @@ class Histogram:
 
     @classmethod
     def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:
-        """Return the density of values, from 0 up to the largest ones."""
+        """Return the density of values, from 0 to the largest values shown."""
         high = float(np.quantile(values, TAIL)) if len(values) else 1.0
         bins = max(1, min(MOST_BINS, round(2 * len(values) ** (1 / 3))))  # Rice's rule
         edges = np.linspace(0.0, high if high > 0.0 else 1.0, bins + 1)

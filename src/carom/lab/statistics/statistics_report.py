@@ -38,10 +38,10 @@ KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name →
     "contacts": ("network of lasting contacts", measure_network),
     "forces": ("forces and force chains", measure_forces),
 }
-MOST_ROWS = 12  # in a printed table
+MOST_ROWS = 12  # most rows of a printed table
 COLUMNS = 3
 FEWEST_BINS = 3  # fewest bins of a panel; fewer show no shape
-PANEL = 3.5, 2.7  # inches
+PANEL = 3.5, 2.7  # width and height of a panel in inches
 MEASURED, THEORY = "#0072b2", "#d55e00"
 
 
@@ -142,7 +142,7 @@ def text(measured: MeasuredValue, units: UnitSystem, *, unit: bool = True) -> st
     name = units.unit(measured.dimension) if unit else ""
     values = [units.shown(float(value), measured.dimension) for value in np.ravel(measured.value)]
     if np.ndim(measured.value) == 0:
-        if np.isnan(values[0]):  # of no bodies
+        if np.isnan(values[0]):  # there were no bodies to measure
             return "none"
         error = "" if measured.error is None else f" ± {units.shown(measured.error, measured.dimension):.2g}"
         return f"{values[0]:.4g}{error} {name}".rstrip()
@@ -178,7 +178,7 @@ def _panel(axes: Axes, histogram: Histogram, units: UnitSystem) -> None:
     values, expected = histogram.values, histogram.expected
     unit = units.unit(histogram.dimension)
     label = histogram.function
-    if not label:  # a density
+    if not label:  # the values are a density
         values, expected = values / one, None if expected is None else expected / one
         inverse = f"({unit})⁻¹" if "/" in unit or " " in unit else f"{unit}⁻¹"
         label = f"density / {inverse}" if unit else "density"

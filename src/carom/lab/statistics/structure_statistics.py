@@ -2,18 +2,18 @@
 
 Coordination number: Z = (2 contacts of two bodies + contacts with planes)/N. Rattlers are bodies held by too few
 contacts. They are removed with their contacts, repeatedly, until none is left. The remaining bodies of a jammed packing
-without friction have Z = 6, and 3 contacts per body if contacts with walls are counted once, too (O'Hern et al., Phys.
+without friction have Z = 6, and 3 contacts per body if contacts with walls also count once (O'Hern et al., Phys.
 Rev. E 68, 011306, 2003). Fabric: F = ⟨n ⊗ n⟩ over contacts, with trace 1 (Satake 1982).
 
 Chains are defined by Peters, Muthuswamy, Wibowo & Tordesillas, Phys. Rev. E 72, 041307 (2005): the stress of a body is
 σ = Σ r f n ⊗ n over its contacts, divided by its volume; a body belongs to a chain if its largest principal stress is
-above the mean, and two such bodies are linked if they touch along the principal direction of both, to 45°. A chain has
-at least three bodies.
+above the mean. Two such bodies are linked if the contact between them is within 45° of the principal directions of
+both. A chain has at least three bodies.
 
-Pair correlation: g(s) is the number of pairs in a shell, divided by the number expected for uniform random positions. s
-is the distance of the centres over the sum of the radii, so bodies touch at s = 1 whatever their sizes. In a periodic
-box every body serves as a centre. Elsewhere, the bodies are assumed to fill the box around their centres. Bodies then
-serve as centres only if they are at least the largest distance s away from its faces.
+Pair correlation: g(s) is the number of pairs in a shell, divided by the number expected for uniform random positions.
+The distance s is the distance of two centres divided by the sum of the radii, so bodies of all sizes touch at s = 1. In
+a periodic box, every body serves as a centre. Otherwise, the bodies are assumed to fill the box around their centres,
+and a body serves as a centre only if its distance from the faces of this box is at least the largest s.
 
 The value at contact extends a parabola through the first shells to s = 1. For equal elastic spheres it is g = (1 -
 φ/2)/(1 - φ)³ at the packing fraction φ (Carnahan & Starling, J. Chem. Phys. 51, 635, 1969).
@@ -37,11 +37,11 @@ from carom.scene.units.dimension import FORCE
 
 HOLDING = {False: 4, True: 2}  # fewest contacts that hold a sphere, without and with friction
 ALONG = 1 / sqrt(2)  # cos 45°
-SHORTEST = 3  # bodies of a chain
+SHORTEST = 3  # fewest bodies of a chain
 SHELLS = 80
 RANGE = 4.0  # largest distance, in diameters of the largest body
 SPACINGS = 3.0  # largest distance in a dilute system, in mean distances of neighbours
-MOST_CENTRES = 50_000  # in all frames
+MOST_CENTRES = 50_000  # most centres in all frames together
 MOST_CENTRES_OF_FRAME = 5_000
 NEAR = np.linspace(1.0, 1.25, 11)  # edges of the shells from which the value at contact is extrapolated
 
@@ -88,7 +88,7 @@ def contact_counts(pairs: IntArray, bodies: int) -> IntArray:
 
 
 def held_bodies(pairs: IntArray, moving: BoolArray, fewest: int) -> tuple[BoolArray, IntArray]:
-    """Remove rattlers and their contacts until none is left; return a mask of the other bodies, and their pairs.
+    """Remove rattlers and their contacts until none is left; return a mask of the remaining bodies, and their pairs.
 
     Planes and fixed bodies support other bodies, and need no contacts to be stable.
     """
@@ -129,8 +129,8 @@ def measure_forces(interval: Interval) -> Statistic:
 def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: FloatArray) -> list[int]:
     """Return the number of bodies of each force chain.
 
-    Contacts have two ends, (k, 2), where a number from n on is a plane; normals (k, 3) from the first end to the
-    second; and forces (k,) N. Radii are (n,) m.
+    ``pairs``, (k, 2), has the ends of contacts, where a number from n on is a plane. Normals, (k, 3), point from the
+    first end to the second; forces are (k,) N, radii (n,) m.
     """
     n, bodies = len(radius), pairs < len(radius)
     stress = np.zeros((n, 3, 3))
@@ -154,7 +154,7 @@ def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: Fl
 class Distances(NamedTuple):
     """The distances from the centres to all other bodies in a frame."""
 
-    values: FloatArray  # (k,) distances over the sum of the radii
+    values: FloatArray  # (k,) distances divided by the sum of the radii
     ideal: float  # expected number of pairs up to s = 1 in an ideal gas
 
     def counts(self, edges: FloatArray) -> FloatArray:
@@ -177,14 +177,14 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
         there = recording.present(step)
         return interval.positions.drawn(step)[there], recording.bodies.radius[there]
 
-    # the largest distance at which pairs are counted, over the sum of the radii
+    # largest distance at which pairs are counted, divided by the sum of the radii
     position, radius = present(steps[-1])
     size = np.ptp(position, axis=0) if box is None else box
     spacing, widest = float((np.prod(size) / len(position)) ** (1 / 3)), 2 * float(radius.max())
     largest = min(max(RANGE * widest, SPACINGS * spacing), float(size.min()) / (4 if box is None else 2)) / widest
     if largest <= 1.0:
         raise RecordingError("the bodies are too few, or too flat a layer, for a pair correlation in space")
-    shells = max(1, round(SHELLS / largest))  # shells up to s = 1
+    shells = max(1, round(SHELLS / largest))  # number of shells up to s = 1
     edges = np.arange(int(largest * shells) + 1) / shells
     counts, near = np.zeros((2, len(edges) - 1)), np.zeros((2, len(NEAR) - 1))
     for step in steps:
@@ -201,7 +201,7 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
 
 
 def distances_of(position: FloatArray, radius: FloatArray, box: FloatArray | None, largest: float) -> Distances:
-    """Find the distances in one frame, up to ``largest``, both over the sum of the radii."""
+    """Find the distances in one frame up to ``largest``, all divided by the sum of the radii."""
     n, reach = len(position), largest * 2 * float(radius.max())
     size = np.ptp(position, axis=0) if box is None else box
     place = position - position.min(axis=0)
@@ -230,6 +230,6 @@ def value_at_contact(near: FloatArray) -> tuple[float, float]:
     found, ideal = near
     distance = (NEAR[1:] + NEAR[:-1]) / 2 - 1.0
     terms = np.stack([np.ones_like(distance), distance, distance**2], axis=1)
-    weight = ideal / np.sqrt(2 * found)  # 1/σ of g: each pair counts from both of its ends
+    weight = ideal / np.sqrt(2 * found)  # 1/σ of g; each pair is counted from both ends
     inverse = np.linalg.inv((terms * weight[:, None] ** 2).T @ terms)
     return float((inverse @ (terms * weight[:, None] ** 2).T @ (found / ideal))[0]), sqrt(float(inverse[0, 0]))

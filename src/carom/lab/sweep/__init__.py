@@ -30,7 +30,7 @@ class SweepProgress(LiveLine):
         super().__init__(quiet)
         self._title, self._runs = title, runs
         self._found = self._ended = self._failed = 0
-        self._first: float | None = None  # end of the first run, which had to wait for workers to start
+        self._first: float | None = None  # time at which the first run ended, which had to wait for workers to start
 
     def begin(self, found: int) -> None:
         """Describe the task."""
@@ -54,7 +54,7 @@ class SweepProgress(LiveLine):
     def _line(self, now: float) -> str:
         done = self._found + self._ended
         failed = f"  {self._failed} failed" if self._failed else ""
-        # the first run waits for workers and kernels, so the time left is estimated from the runs after it
+        # the first run waits for workers and kernels, so the time left is estimated from later runs
         spent, ended = (now - self._first, self._ended - 1) if self._first else (0.0, 0)
         left = f"{duration_text(now - self._began)} so far"
         if ended > 0 and spent > 0.0:
@@ -260,7 +260,7 @@ def _table(folder: Path, conditions: list[str], sort: str | None, columns: str |
 
 
 def _column(key: str, rows: list[Row]) -> ShownColumn:
-    """Return a column of the table, in which runs that are not done stand out."""
+    """Return a column of the table; runs that are not done stand out in it."""
 
     def cell(row: Row) -> str | None:
         value = f"{row[key]:.6g}" if isinstance(row[key], float) else None if row[key] is None else str(row[key])
@@ -280,7 +280,7 @@ def _keys(rows: list[Row], stored: StoredSweep, sort: str | None, columns: str) 
 
 
 def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
-    """Draw a figure into the sweep's folder, and write a table of its points; return its path as pixels."""
+    """Draw a figure into the sweep's folder, and write a table of its points; return the path of the PNG."""
     from carom.lab.sweep.sweep_table import chosen, figure, known
 
     x, y = _axes(plot)

@@ -17,8 +17,8 @@ from distributed import Client, Future, KilledWorker
 from carom.errors import ExperimentError
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
-_CONNECT = 20.0  # s
-_ANSWER = 60.0  # s, the longest wait for a scheduler's answer
+_CONNECT = 20.0  # s, time limit for connecting
+_ANSWER = 60.0  # s, longest wait for an answer of the scheduler
 _RETRIES = 3  # attempts to repeat a task whose result does not arrive
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
@@ -32,7 +32,7 @@ class DaskWorkers:
         self._address = address  # such as tcp://10.0.0.1:8786
         self._keys: dict[str, Any] = {}  # our keys of the tasks, by Dask's keys
         self._futures: dict[str, Future[Any]] = {}  # futures that have not ended yet, by Dask's keys
-        # not a SimpleQueue, whose wait with a timeout never ends if a signal arrives just then
+        # not a SimpleQueue: its wait with a timeout never ends if a signal arrives during the wait
         self._done: queue.Queue[Future[Any]] = queue.Queue()
         self._stack = contextlib.ExitStack()
 
@@ -95,7 +95,7 @@ class DaskWorkers:
         Raises
         ------
         ExperimentError
-            With the name of the worker.
+            The message names the worker.
         """
         try:
             answers = self._client.run(unfit, on_error="return")

@@ -24,7 +24,8 @@ from carom.recording.write.whole_file import is_link_of_another, lock, new_name,
 from carom.runs.environment import versions
 from carom.scene.scene_file import DEEPEST, is_too_deep
 
-_ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or the lock of one
+# a recording that is being written, or the lock of such a recording
+_ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -114,7 +115,7 @@ class Folder:
 
 
 def put(path: Path, content: str | bytes) -> None:
-    """Write a file atomically: after a crash it has its old or its new content."""
+    """Write a file atomically: after a crash, it has its old or its new content."""
     try:
         with new_name(path, ".new") as beside:
             with beside.open("xb") as file:
@@ -179,12 +180,12 @@ class SweepRun:
     name: Plain
     parameters: dict[str, Any]
     seed: int
-    status: str = PENDING  # "done": run and recording are complete; "failed": the run or the recording is not
+    status: str = PENDING  # "done": run and recording are complete; "failed": the run or the recording is incomplete
     outcome: str = ""  # a status of `Outcome`, or "refused", "error", or "lost" if its workers died
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s
     fingerprint: str = ""  # fingerprint of the last frame, 16 hexadecimal digits
-    file: Inside = ""  # in the sweep's folder
+    file: Inside = ""  # path of the recording in the sweep's folder
     size: int = 0  # bytes
     worker: str = ""  # the host that ran it
     results: dict[str, Any] = field(default_factory=dict)  # the numbers that `carom inspect` prints, under dotted keys
@@ -199,10 +200,10 @@ class StoredSweep(BaseModel):
     """Content of a manifest; unknown keys are ignored."""
 
     title: str
-    scene: str  # digest
+    scene: str  # digest of the scene
     varied: list[str]
     versions: dict[str, str]
-    counts: dict[str, int]  # of runs, by status
+    counts: dict[str, int]  # numbers of runs, by status
     units: str
     files: list[Inside]
     runs: Annotated[list[SweepRun], Field(min_length=1)]
@@ -224,10 +225,10 @@ class Manifest:
     ) -> None:
         self.folder = folder
         self.plan = plan
-        self.runs = runs  # by name
+        self.runs = runs  # runs by name
         self.command = command
         self.files = set(files)  # further files of the sweep in its folder
-        self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
+        self._lines = {name: _line(run) for name, run in runs.items()}  # lines of the file, by name of the run
         self._reserve: DiskReserve | None = None
 
     @classmethod
@@ -241,7 +242,7 @@ class Manifest:
         files: set[str] = set()
         if folder.manifest.exists():
             stored = read(folder)
-            # do not mix two sweeps in one folder
+            # a folder must not mix two sweeps
             remedy = "choose another folder with -o, or remove that sweep and start over with --force"
             if stored.scene != plan.digest:
                 raise ExperimentError(
@@ -255,7 +256,7 @@ class Manifest:
                 raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
             known, files = {run.name: run for run in stored.runs}, set(stored.files)
         data = [str(Path(folder.data.name) / name) for name in plan.files]
-        # a file that the manifest does not list is not replaced
+        # files that the manifest does not list are not replaced
         names = [folder.scene.name, *(path.name for path in folder.tables), *data]
         for name in names:
             if name not in files and os.path.lexists(folder.root / name):
@@ -272,8 +273,9 @@ class Manifest:
             known.setdefault(point.name, SweepRun(point.name, point.parameters, point.seed))
         begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
         folder.make()
-        begun.save()  # written before the files that it lists, so that every file of a sweep has a manifest
-        # stores the data files of the scene, for workers on other machines and for later
+        # the manifest is written before the files that it lists, so that every file of a sweep has a manifest
+        begun.save()
+        # the data files of the scene are copied, for workers on other machines and for later
         for name, source in plan.files.items():
             target = folder.data / name
             output_folder(target.parent)
@@ -363,7 +365,7 @@ class Manifest:
 
 
 def read(folder: Folder) -> StoredSweep:
-    """Read a stored manifest. Raises ExperimentError if there is none, or it is not a manifest of carom."""
+    """Read a stored manifest. Raises ExperimentError if there is no manifest, or it is not one of carom's."""
     path = folder.manifest
     if not path.is_file():
         raise ExperimentError(f"{folder.root}: not a sweep (it contains no {path.name})")

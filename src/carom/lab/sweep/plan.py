@@ -18,7 +18,7 @@ from carom.scene.data.body_sources import HeldBodies
 from carom.scene.load import Scene, scene_from_text
 
 SEED = "seed"
-_LONGEST_NAME = 120  # characters of a run's name; a file's name has 255, and an attempt's is longer
+_LONGEST_NAME = 120  # most characters of a run's name; a file's name may have 255, and the name of an attempt is longer
 _FILE = re.compile(r"bodies\.\d+\.file")
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 
@@ -28,7 +28,7 @@ class SweepPoint:
     """A planned run."""
 
     name: str  # made from the varied values; the recording has the same name
-    parameters: dict[str, Any]  # values by key, without the seed
+    parameters: dict[str, Any]  # varied values by key, without the seed
     seed: int
 
     @property
@@ -43,9 +43,9 @@ class Plan:
 
     title: str
     scene: str  # TOML, without [sweep]
-    varied: tuple[str, ...]  # varied keys in the order in which names have them; the seed is last if it varies
+    varied: tuple[str, ...]  # varied keys in the order in which they occur in names; the seed is last if it varies
     points: tuple[SweepPoint, ...]
-    files: Mapping[str, Path] = field(default_factory=dict)  # data files of the scene, by their names in it
+    files: Mapping[str, Path] = field(default_factory=dict)  # data files of the scene, by their names in the scene
     units: str = "SI"  # units of the results, as `UnitSystem.recorded` names them
 
     @property
@@ -66,7 +66,7 @@ def plan(
     seeds: int | None = None,
     zipped: bool | None = None,
 ) -> Plan:
-    """Plan a sweep of a scene, whose ``[sweep]`` has the defaults of the other parameters.
+    """Plan a sweep of a scene, whose ``[sweep]`` section has the defaults of the other parameters.
 
     Raises SceneError or ExperimentError if the scene cannot be loaded, or no run of the sweep can be made.
 
@@ -152,7 +152,7 @@ def _shown(value: Any) -> str:
 
 
 def _refuse_hopeless(text: str, points: Sequence[SweepPoint], held: HeldBodies | None) -> None:
-    """Refuse a sweep without a valid run, so that a misspelt key is reported once and not for each run."""
+    """Refuse a sweep without a valid run, so that a misspelt key is reported once, not for each run."""
     errors = []
     for point in points:
         try:

@@ -1,4 +1,4 @@
-"""A sweep from its plan to its table: workers run the members, and their reports are entered into the manifest.
+"""A sweep from its plan to its table: workers run the members, and the workers' reports go into the manifest.
 
 A run has the same bits in any worker process on any machine.
 """
@@ -36,7 +36,7 @@ from carom.terminal.printing import finite
 Report = dict[str, Any]  # fields of `SweepRun`
 
 _WHOLE = ("completed", "expectation missed")  # outcomes of complete runs
-_NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # of a recording's summary
+_NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # sections of a recording's summary that are no results
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"
 _TICK = 0.2  # s between two updates of a running sweep
@@ -48,7 +48,7 @@ class SweepTask:
 
     root: str  # the sweep's folder on the client
     scene: str  # digest of the scene's text
-    version: str  # of carom
+    version: str  # version of carom
     command: str
     point: SweepPoint
 
@@ -67,7 +67,7 @@ def execute(task: SweepTask) -> Report:
         report = _failure(status_of(error), str(error))
     except OSError as error:
         report = _failure("disk", str(error))
-    except Exception as error:  # an error of one run, after which the others continue
+    except Exception as error:  # the other runs continue after an error of one run
         report = _failure("error", f"{type(error).__name__}: {error}")
     return {"wall_time": time.perf_counter() - began, **report, "worker": socket.gethostname()}
 
@@ -92,7 +92,7 @@ def _made(task: SweepTask, folder: Folder) -> Report:
     text, files = folder.scene.read_text(encoding="utf-8"), DataFiles(folder.data)
     scene = scene_from_text(text, folder.scene.name, point.overrides, files)
     whole = folder.whole(point.name)
-    # an earlier attempt may have made this run; its client may have died before it received the report
+    # an earlier attempt may have made this run, if its client died before it received the report
     with contextlib.suppress(RecordingError):
         recording = Recording.open(whole) if whole.exists() else None
         if recording and recording.finished and recording.scene_toml == scene.toml:
@@ -108,7 +108,7 @@ def _made(task: SweepTask, folder: Folder) -> Report:
         outcome = simulate(recording_space(scene, threads=1), attempt, member=member)
         if outcome.status in _WHOLE:
             return _kept(attempt, whole, folder)
-        if outcome.status == "failed":  # failed for a reason in the scene, so the recording is worth keeping
+        if outcome.status == "failed":  # the run failed for a reason in the scene, so its recording is worth keeping
             return _kept(attempt, folder.failed(point.name), folder)
         return _failure(outcome.status, outcome.reason)
     finally:
@@ -140,7 +140,7 @@ def _granular(recording: Recording) -> dict[str, float]:
     """Return the granular temperature and the stress of the second half of a run, if the recording has them."""
     try:
         late_means = registry.imported("carom.lab.statistics.late_means:late_means")
-    except ExtensionError:  # the part that raised can be removed
+    except ExtensionError:  # a removable part of carom raised the error
         return {}
     try:
         return {key: finite(value) for key, value in late_means(recording).items()}
@@ -187,11 +187,11 @@ class Conductor:
         self._manifest = manifest
         self._watch = watch
         self._left: set[str] = set()  # names of the runs that have not ended
-        self._dropped = 0  # runs that the scheduler dropped, or whose report it lost
+        self._dropped = 0  # number of runs that the scheduler dropped, or whose report it lost
         self._unsaved = ""  # the error that kept the manifest from being written; empty if there was none
 
     def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
-        """Make the runs; return why this ended early, or an empty text.
+        """Make the runs; return why the sweep ended early, or an empty text.
 
         The first interrupt lets current runs finish, the second drops them. Raises OSError if the final manifest could
         not be written.
@@ -248,9 +248,9 @@ class SweepEnding:
     """The result of a sweep."""
 
     manifest: Manifest
-    found: int  # runs that already existed
+    found: int  # number of runs that already existed
     stopped: str  # the reason for an early end; empty if there was none
-    untabled: str = ""  # why the table could not be written; empty if it was
+    untabled: str = ""  # why the table could not be written; empty if it was written
 
     @property
     def failed(self) -> list[SweepRun]:

@@ -1,4 +1,4 @@
-"""A sweep as a table, one row per run, and a figure of one column over another. The figure needs `carom[plot]`."""
+"""A sweep as a table, one row per run, and a figure of two columns. The figure needs `carom[plot]`."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def known(key: str, rows: Sequence[Row]) -> str:
 
 
 def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
-    """Return for each row whether it meets a condition; a value of another kind meets only ``!=``."""
+    """Return for each row whether it meets a condition; a value of a different kind meets only ``!=``."""
     matched = _CONDITION.fullmatch(condition)
     if matched is None:
         raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
@@ -108,7 +108,7 @@ def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
 
 
 def _compared(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool | None:
-    """Compare numbers, quantities with units by their sizes, or texts; None if these are of different kinds."""
+    """Compare numbers, quantities with units by their sizes, or texts; None if the two are of different kinds."""
     if _is_number(value):
         try:
             return bool(compare(value, float(wanted)))
@@ -146,18 +146,18 @@ def _text(value: Any) -> str:
 
 
 FIGURES = ".png", ".svg", ".pdf"
-MOST_LINES = 12  # in the legend
+MOST_LINES = 12  # most lines in the legend
 _DECADES = 50.0  # largest ratio of an axis's ends for which the axis is linear
 
-Points = dict[float, list[float]]  # all y of one x
+Points = dict[float, list[float]]  # all values of y, by value of x
 
 
 def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, base: Path) -> list[Path]:
     """Draw ``y`` over ``x``, with a line for each combination of the other varied values; return the files.
 
-    A point is the mean of the runs that differ only in their seeds; the bar is their range. The files are ``base`` with
-    the endings `FIGURES`, and a table of the points with ``.csv``. Raises ExperimentError if a column is not numeric,
-    or no run has both.
+    A point is the mean over runs that differ only in their seeds, with a bar for the range. The files are ``base`` with
+    the endings in `FIGURES`, and a table of the points with ``.csv``. Raises ExperimentError if a column is not
+    numeric, or no run has both values.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
@@ -196,7 +196,8 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
             axes.set(**{f"{axis}scale": "log"})
     if others and len(lines) <= MOST_LINES:
         axes.legend(frameon=False)
-    files = [base.with_name(base.name + ending) for ending in (*FIGURES, ".csv")]  # names of columns have dots
+    # names of columns contain dots, so `with_suffix` would cut them
+    files = [base.with_name(base.name + ending) for ending in (*FIGURES, ".csv")]
     for path in files[:-1]:
         with whole_file(path) as part:
             drawing.savefig(part)
@@ -205,7 +206,7 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
 
 
 def _unit(rows: Sequence[Row], key: str) -> Physical | None:
-    """Return the first quantity with a unit in a column, which sets the unit of the axis."""
+    """Return the first quantity with a unit in a column; its unit becomes the unit of the axis."""
     quantities = (physical(row[key]) for row in rows if isinstance(row[key], str))
     return next((found for found in quantities if found), None)
 

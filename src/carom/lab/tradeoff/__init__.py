@@ -77,20 +77,20 @@ SHOWN = (  # errors in the table
     *("size", "dispersion", "height", "density", "coordination", "settled_energy", "rest_time"),
 )
 IN_SECONDS = ("impact", "rest_time")  # errors with a unit of time
-TO_THE_HORIZON = (  # errors that are compared only while the reference is certain
+TO_THE_HORIZON = (  # errors that are compared only up to the horizon, while the reference is certain
     *(f"{error}{ending}" for error in ("position", "velocity") for ending in ("", "_max", "_end")),
     *("impact", "missed"),
 )
 STATISTICS = tuple(  # errors that are compared to the end of the reference
     f"{error}{ending}" for error in ("size", "dispersion") for ending in ("", "_max", "_end")
 )
-VAGUE = 0.5  # relative uncertainty of a cost from which it is shown as a factor
-SPENT = "the budget"  # first words of the reason why settings are left out at the end of a budget
+VAGUE = 0.5  # relative uncertainty from which the uncertainty of a cost is shown as a factor
+SPENT = "the budget"  # first words of the reason for settings that are left out when the budget is spent
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the first table
 UNBROKEN_SLASH = "\N{NO-BREAK SPACE}/\N{NO-BREAK SPACE}"  # before a unit
-HEADING = 10  # characters of a line in a heading: about as many as a value has
-MARKS = {"front": "●", "near": "?"}  # marks of an error in the table; see `_legend`
+HEADING = 10  # characters of a line in a heading: about as many as in a value
+MARKS = {"front": "●", "near": "?"}  # marks beside an error in the table; see `_legend`
 ADVICE = "start over with --new-study, or choose another folder with --study"
 
 
@@ -110,7 +110,7 @@ def tradeoff_command(
     force: Annotated[bool, typer.Option("-f", "--force", help="Start over and replace the existing study.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Measure cost and errors of a scene's settings, and show which settings no other beats.
+    """Measure cost and errors of a scene's settings, and show the settings that no other setting beats.
 
     Measurements are kept; the same command continues where it stopped.
     """
@@ -183,7 +183,7 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 
 
 def _draw(study: Study, quiet: bool) -> None:
-    """Write the table, the figure and the recording beside the document; print their paths, or why there is none."""
+    """Write the table, the figure and the recording beside the document; print their paths, or why they are missing."""
     from carom.errors import ExperimentError
     from carom.lab.tradeoff.study_document import DOCUMENT
     from carom.lab.tradeoff.tradeoff import FIGURES, OVERLAY, TABLE
@@ -236,7 +236,7 @@ def _parts(study: Study) -> Iterator[Part]:
 
 
 def notes_on_rows(study: Study) -> Iterator[str]:
-    """Name the settings that share a row of the table, and the settings that were left out or not timed, by reason."""
+    """Name the settings that share a row of the table, and, by reason, the settings that were left out or not timed."""
     equal: dict[str, list[str]] = {}
     for result in study.results:
         if result.same_as:
@@ -264,7 +264,7 @@ def _legend(noise: float) -> str:
 
 
 def table_of(study: Study, errors: Collection[str] = SHOWN) -> ShownTable:
-    """Make the table of a study, cheapest setting first, with the columns of the costs and one for each given error."""
+    """Make the table of a study, cheapest setting first, with columns for the costs and for each given error."""
     from carom.lab.compared_run import AS_WRITTEN
     from carom.lab.tradeoff.reference import NAMES
 
@@ -366,9 +366,9 @@ def tune_command(
 ) -> None:
     """Find the cheapest setting that keeps every error limit, and write it as a scene file.
 
-    The search starts from about a dozen settings, then changes the step, and one key at a time, until nothing improves.
-    Settings whose recording would have fewer frames are left out. Measurements are kept; the same command continues
-    where it stopped.
+    The search starts from about a dozen settings. Then it changes the step, and one other key at a time, until nothing
+    improves. Settings whose recording would have fewer frames are left out. Measurements are kept; the same command
+    continues where it stopped.
     """
     from carom.lab.tradeoff.tune import limits, stopped, tuned, write
     from carom.recording.write.whole_file import refuse_scene_output
@@ -398,7 +398,7 @@ def tune_command(
 
 
 def _extent(tuning: Tuning, errors: Collection[str]) -> str:
-    """Say up to which time errors are compared with the reference; empty if that is the end of the scene."""
+    """Say up to which time errors are compared with the reference; empty if to the end of the scene."""
     reference, units = tuning.study.reference, tuning.study.scene.unit_system
     compared = {*TO_THE_HORIZON, *(() if reference is None or reference.whole else STATISTICS)}
     if reference is None or reference.is_complete or not compared & set(errors):
@@ -407,7 +407,7 @@ def _extent(tuning: Tuning, errors: Collection[str]) -> str:
 
 
 def _tuning_lines(tuning: Tuning) -> list[str]:
-    """Describe the best settings: their gain in speed over the scene as written, and the errors that they increase."""
+    """Describe the best settings: their speed relative to the scene as written, and the errors that they increase."""
     from carom.lab.tradeoff.reference import phrase
 
     best, written = tuning.best, tuning.written

@@ -1,11 +1,11 @@
 """Exact reference for one ball and planes: flights, impacts, rolling and sliding under a uniform field, with drag.
 
 The reference shares no code with the engine. Between events the acceleration of the ball is a - k v with a constant a.
-In flight, drag gives k = 1/τ. For a rolling ball, both are smaller, since friction also has to spin the ball. These
-paths are closed forms, and the times of impacts are their roots. A sliding ball changes its direction, so DOP853
-integrates it up to the moment at which its contact point stands still. A ball that bounces ever lower comes to rest
-after infinitely many impacts; the reference holds the ball after the first impact that leaves less than `AT_REST` of
-its speed.
+In flight, drag gives k = 1/τ. For a rolling ball, a and k are smaller, since friction also has to spin the ball.
+Flights and rolling have closed forms, whose roots are the times of impacts. A sliding ball changes its direction, so
+DOP853 integrates it up to the moment at which its contact point stands still. A ball that bounces ever lower comes to
+rest after infinitely many impacts; the reference holds the ball after the first impact that leaves less than `AT_REST`
+of its speed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from carom.scene.units.dimension import TIME
 
 AT_REST = 1e-13  # smallest rebound or slip, relative to the speed, that is not rounding
 TOUCHING = 1e-12  # largest gap of a contact, relative to the radius
-ROUNDINGS = 64.0  # error of a gap in units in the last place of a coordinate
+ROUNDINGS = 64.0  # error of a gap, in units in the last place of a coordinate
 NUDGE = 4.0  # initial displacement of the twin run of a check, in units of rounding
-TOLERANCE = 1e-13  # relative, of DOP853
+TOLERANCE = 1e-13  # relative tolerance of DOP853
 ALMOST = 1e-6  # slip, relative to the speed, below which it decreases at a constant rate
 MOST_IMPACTS = 20_000
 EPS = float(np.finfo(np.float64).eps)
@@ -45,11 +45,11 @@ class BallSolution:
 
     trajectory: Trajectory
     impacts: int
-    ended: str = ""  # why it ends before the scene; empty if complete
+    ended: str = ""  # why the solution ends before the scene; empty if it is complete
 
 
 def why_no_ball(scene: Scene) -> str:
-    """Return why a scene is not one ball that planes at rest and a field move; empty if it is."""
+    """Return why a scene is not one ball between planes at rest, in a field; empty if it is."""
     if scene.count != 1 or scene.has_fixed_bodies:
         return "more than one ball that moves"
     if not (scene.plane or scene.domain.walled) or scene.wall or scene.domain.repeating:
@@ -70,7 +70,7 @@ def solve_ball(scene: Scene, start: InitialBodies, times: FloatArray, *, nudge: 
 
 
 def _grown(s: float, rate: float) -> tuple[float, float]:
-    """Return ∫ exp(-k s) ds from 0 to s, and the integral of this function."""
+    """Return the integral of exp(-k s) from 0 to s, and the integral of this integral."""
     if rate * s < SERIES:
         return s - rate * s * s / 2, s * s / 2 - rate * s**3 / 6
     first = -math.expm1(-rate * s) / rate
@@ -83,8 +83,8 @@ class _Path:
 
     x: FloatArray
     v: FloatArray
-    a: FloatArray  # at the start
-    rate: float  # 1/s, k
+    a: FloatArray  # acceleration at the start
+    rate: float  # 1/s, rate k
 
     def at(self, s: float) -> tuple[FloatArray, FloatArray]:
         first, second = _grown(s, self.rate)
@@ -125,7 +125,7 @@ class _Ball:
     ended: str = ""
     impacts: int = 0
     settles: bool = False  # whether the ball comes to rest after infinitely many impacts
-    met: dict[int, float] = field(default_factory=dict)  # s, by plane
+    met: dict[int, float] = field(default_factory=dict)  # s, time of the first contact, by plane
 
     def __post_init__(self) -> None:
         scene, start = self.scene, self.start
@@ -163,7 +163,7 @@ class _Ball:
                 self._follow(_Path(self.x, self.v, self._acceleration(), self.rate), end)
         position, velocity = (np.array([sample[k] for sample in self.samples]).reshape(-1, 1, 3) for k in (0, 1))
         met = {(0, 1 + k): time for k, time in self.met.items()}
-        impacts = 0 if self.settles else self.impacts  # infinite numbers of impacts are not compared
+        impacts = 0 if self.settles else self.impacts  # an infinite number of impacts is not compared
         trajectory = Trajectory.exact(self.times, position, velocity, met, impacts)
         return BallSolution(trajectory, self.impacts, self.ended)
 
@@ -196,9 +196,9 @@ class _Ball:
         if self.impacts > MOST_IMPACTS:
             self.ended = f"the ball has had {MOST_IMPACTS} impacts at {self._now}"
         closing = float(n @ self.v)
-        pressed = -(1.0 + law.restitution) * closing  # m/s, the normal impulse over the mass
+        pressed = -(1.0 + law.restitution) * closing  # m/s, normal impulse divided by the mass
         slip = self._slip(n)
-        stops = slip / (1.0 + self.turned)  # the impulse that ends the slip
+        stops = slip / (1.0 + self.turned)  # m/s, impulse per mass that ends the slip
         size = float(np.linalg.norm(stops))
         if size > law.static_friction * pressed:
             stops *= law.kinetic_friction * pressed / size
@@ -208,7 +208,7 @@ class _Ball:
             self.v = self.v - (n @ self.v) * n
 
     def _hold(self, plane: int, end: float) -> None:
-        """Roll or slide along a plane, up to another plane."""
+        """Roll or slide along a plane, until the ball reaches another plane."""
         n, law = self.normal[plane], self.coefficients[plane]
         self.v = self.v - (n @ self.v) * n
         pressed, along = -float(n @ self._acceleration()), self._along(n)
@@ -248,13 +248,13 @@ class _Ball:
         return float(self.times[len(self.samples)]) if len(self.samples) < len(self.times) else math.inf
 
     def _slide(self, n: FloatArray, friction: float, end: float, plane: int) -> None:
-        """Slide under a friction (m/s²) until the contact point stands still, or for part of that time."""
+        """Slide with a friction (m/s²) until the contact point stands still, or the ball reaches another plane."""
         along, slip = self._along(n), self._slip(n)
         speed = float(np.linalg.norm(slip))
         towards = along / np.linalg.norm(along) if speed <= AT_REST * self.speed else slip / speed
         sideways = float(np.linalg.norm(along - (along @ towards) * towards))
         if speed <= ALMOST * self.speed or sideways <= TOUCHING * friction:
-            # the slip keeps its direction, which gives a closed form
+            # if the slip keeps its direction, there is a closed form
             pull, began = float(along @ towards) - friction, self.t
             grinds = friction * self.turned  # m/s², change of the slip by the torque
 
@@ -267,7 +267,7 @@ class _Ball:
             self._follow(_Path(self.x, self.v, along - friction * towards, self.rate), began + stop, plane)
             self.spin = self.spin + self.turned / self.r * friction * (self.t - began) * np.cross(n, towards)
             if ends and self.t >= began + stop:
-                self._push(n, -self._slip(n) / (1.0 + self.turned))  # removes the rest that rounding left
+                self._push(n, -self._slip(n) / (1.0 + self.turned))  # removes the slip that rounding left
         elif len(self.offset) > 1:
             self.ended = f"the ball slides along a curve between several planes from {self._now} on"
         else:

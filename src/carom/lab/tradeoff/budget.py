@@ -1,6 +1,6 @@
-"""The time that a study may take, and the settings worth timing, which are those that may be on the front.
+"""The time that a study may take, and the choice of settings worth timing: settings that may be on the front.
 
-A setting is left out before its first run if its steps are shorter than those of a setting with rounding errors alone.
+A setting is left out before its first run if another setting has longer steps and rounding errors alone.
 A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the front is
 uncertain.
 """
@@ -18,14 +18,15 @@ RUNS = 30.0  # default budget, in multiples of the time of the scene as written
 LEAST = 5.0  # s, default budget of short runs
 FOR_THE_REFERENCE = 0.5  # fraction of the budget after which the reference is not refined further
 FOR_TIMES = 0.25  # fraction of the budget that is kept for repeated timings
-FASTEST = 0.5  # smallest time left for a run, over the time of the scene as written; a run with less would be stopped
+# smallest time left for a run, relative to the time of the scene as written; with less, a run would be stopped
+FASTEST = 0.5
 SHORT = 0.05  # s; a shorter run is repeated until its time is known to `PRECISION`
-PRECISION = 0.05  # of a median
+PRECISION = 0.05  # relative precision of a median
 TIMINGS = 3  # timings of each setting that may be on the front
-MOST_TIMINGS = 60  # of a short run
+MOST_TIMINGS = 60  # most timings of a short run
 ALONE = 0.3  # relative noise that a single timing may have: 0.26 was measured for runs of some milliseconds
-CHEAPER = 3.0  # the estimated cost of an untimed setting over the cost of a rival; estimates err by less
-ROUNDING = 1e-11  # error that is the rounding of a long run, which shorter steps do not reduce
+CHEAPER = 3.0  # smallest ratio of an untimed setting's estimated cost to a rival's cost; estimates err by less
+ROUNDING = 1e-11  # largest error that counts as rounding of a long run, which shorter steps do not reduce
 
 
 class StudyBudget:
@@ -57,7 +58,7 @@ class StudyBudget:
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing is left."""
+        """Whether no time is left."""
         return self.left <= 0.0
 
     @property
@@ -79,7 +80,7 @@ def is_beaten(errors: Errors, rival: Errors, floors: Errors) -> bool:
 
 
 def estimated_cost(result: SettingResult, written: SettingResult) -> float:
-    """Estimate the least cost (s) of a followed setting from the cost of the scene as written; 0 if unknown."""
+    """Estimate the least cost (s) of a setting without timings, from the cost of the scene as written; 0 if unknown."""
     if not (written.costs and written.followed and result.followed and result.steps):
         return 0.0
     return written.cost * min(result.followed / written.followed, result.steps / written.steps)

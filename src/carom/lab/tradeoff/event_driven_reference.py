@@ -2,19 +2,19 @@
 
 SciPy's DOP853 integrates the forces with tolerances near round-off, from contact to contact. If two bodies may meet in
 a step, conservative advancement finds their first contact. The bodies cannot meet before the gap divided by a bound of
-the closing speed, so no contact is missed. The time is then refined with steps from the same beginning, and
+the closing speed, so no contact is missed. The time of contact is then refined with steps from the same beginning, and
 `physics/reference_api.py` resolves the contact. Samples do not shorten the steps. Each sample is a separate, shorter
 step, which is more accurate than DOP853's interpolation.
 
-Bodies may stay in contact without force, as after a plastic impact; the next impact on one of them acts on all. The
-solution ends where a force presses touching bodies together or where contacts accumulate, because lasting contacts are
-not events.
+Bodies may stay in contact without force, as after a plastic impact; the next impact on one of these bodies acts on all
+of them. The solution ends where a force presses touching bodies together or where contacts accumulate, because lasting
+contacts are not events.
 
-The tolerance bounds only the error of flights. A *twin* measures how contacts amplify rounding: the same scene,
+The tolerance bounds only the error of flights. A *twin* measures how contacts amplify rounding: it is the same scene,
 displaced by rounding errors, with simultaneous contacts resolved in another order. Each order of the impacts obeys the
 impulse law of a pair, but in a row of touching bodies the velocities depend on the order: no law of pairs determines
-them. The solution resolves all closing pairs at once, and then the pairs that close again. The twins resolve one pair
-at a time: one twin the last closing pair, the other twin the first.
+these velocities. The solution resolves all closing pairs at once, and then the pairs that close again. The twins
+resolve one pair at a time: one twin the last closing pair, the other twin the first.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from carom.scene.wording import bodies_called
 MOST_BODIES = 20  # most bodies; Python examines the pairs one by one
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
-SPEED_MARGIN = 1.5  # bound of a step's closing speed, over the largest value at its ends and middle
-TOUCHING = 1e-12  # largest gap of a contact over the sum of radii, if rounding is smaller
-ROUNDINGS = 8.0  # units in the last place of speeds and positions, the tolerance of contact
+SPEED_MARGIN = 1.5  # bound of a step's closing speed, relative to the largest value at its ends and middle
+TOUCHING = 1e-12  # largest gap of a contact, relative to the sum of radii, if rounding is smaller
+ROUNDINGS = 8.0  # tolerance of contact, in units in the last place of speeds and positions
 LOWEST_FLIGHT = 10.0  # largest bounce of bodies that stay in contact, in multiples of the largest gap of a contact
-BISECTIONS = 30  # bisections of a step in which a force begins to press
-NEWTON = 12  # largest number of iterations, each of which squares the error
+BISECTIONS = 30  # number of bisections of a step in which a force begins to press
+NEWTON = 12  # most iterations; each iteration squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
-LONGER = 1.25  # longest step of a twin over that of the solution: at order eight, six times the error
+LONGER = 1.25  # longest step of a twin, relative to the solution's: at order eight, its error is six times as large
 EPS = float(np.finfo(np.float64).eps)
 
 
@@ -56,8 +56,8 @@ class EventDrivenSolution:
     """The event-driven solution of a scene, up to its end."""
 
     trajectory: Trajectory
-    ended: str = ""  # why it ends before the scene; empty if complete
-    time: list[float] = field(default_factory=list)  # s, of every contact
+    ended: str = ""  # why the solution ends before the scene; empty if it is complete
+    time: list[float] = field(default_factory=list)  # s, time of every contact
     together: list[float] = field(default_factory=list)  # s, times at which one body strikes several others at once
 
 
@@ -81,9 +81,9 @@ def solve(
 ) -> EventDrivenSolution:
     """Solve a scene from the start of its space, which does not change; keep the solution at times (K,) in s.
 
-    The relative ``tolerance`` of DOP853 times the largest coordinate and speed at the start is the absolute tolerance.
-    A ``twin`` of 1 or 2 starts displaced by rounding and resolves simultaneous contacts in another order. The solution
-    ends after a ``budget`` of CPU time in s.
+    ``tolerance`` is DOP853's relative tolerance; the absolute tolerance is ``tolerance`` times the largest coordinate
+    and speed at the start. With a ``twin`` of 1 or 2, the start is displaced by rounding, and simultaneous contacts are
+    resolved in another order. The solution ends after a ``budget`` of CPU time in s.
     """
     return _Solver(space, times, tolerance, twin, budget).run()
 
@@ -94,7 +94,7 @@ class _Solver:
         self._scene, self._tolerance, self._times, self._twin = scene, tolerance, times, twin
         self._coefficients = pair_coefficients(scene)
         self._budget, self._deadline = budget, clock.thread_time() + budget
-        # the state that contacts change
+        # the part of the state that contacts change
         velocity, spin = start.velocity.copy(), start.angular_velocity.copy()
         ends = replace(start.ends, velocity=velocity, angular_velocity=spin)
         self._bodies = replace(
@@ -114,12 +114,13 @@ class _Solver:
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
         self._near = TOUCHING * self._reach  # (pairs,) m, largest gap of a contact
-        self._touched = self._gaps(self._state()) <= self._near  # (pairs,) touch at the start: no first contact
+        # (pairs,) pairs that touch at the start have no first contact
+        self._touched = self._gaps(self._state()) <= self._near
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, positions at each sample so far
         self._velocity: list[FloatArray] = []  # (n, 3) m/s, velocities at each sample so far
         self._met: dict[tuple[int, int], float] = {}
-        self._struck: list[float] = []  # s, of every impact
+        self._struck: list[float] = []  # s, time of every impact
         self._ends: list[tuple[int, int]] = []  # both bodies of each impact
         self._ended = ""
         size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
@@ -161,7 +162,7 @@ class _Solver:
     def _advance(self, end: float, longest: float) -> list[int]:
         """Advance to a time or to the first contacts before it; return the pairs in contact.
 
-        The first step is at most ``longest``, because bodies that bounce and fall back must first separate.
+        The first step is at most ``longest``, because bodies that bounce must separate before they fall back.
         """
         solver = self._solver(self._time, self._state(), min(end, self._time + longest))
         while not self._ended:
@@ -175,7 +176,7 @@ class _Solver:
                 self._end(f"DOP853 stopped at t = {self._units.text(solver.t, TIME)}: {message}")
                 break
             if self._contacts:
-                # gaps below the rounding of coordinates and clock are contacts, as between fast bodies
+                # gaps below the rounding of coordinates and clock count as contacts; this matters for fast bodies
                 ends = np.stack((y, solver.y))
                 largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
                 speed = np.max([self._speeds(end) for end in ends], axis=0)
@@ -185,8 +186,8 @@ class _Solver:
             after, state = found or (solver.t, solver.y)
             pressed = self._pressed(y, state) if self._contacts else None
             if pressed is not None:
-                # bisects for the last state in which no pair is pressed, also if a pair meets again within the step
-                # as apart
+                # bisects for the last state in which no pair is pressed, even if a pair that separates meets again
+                # within the step
                 found, late, (after, state) = None, after, (before, y)
                 for _ in range(BISECTIONS):
                     time = (after + late) / 2
@@ -209,24 +210,24 @@ class _Solver:
         return []
 
     def _sample(self, before: float, y: FloatArray, after: float) -> None:
-        """Store the samples within a step that begins with a state."""
+        """Store the samples within the step from the state ``before``."""
         while (time := self._next_sample()) < after:
             x, v = self._at(before, y, time).reshape(2, self._n, 3)
             self._position.append(x.copy())
             self._velocity.append(v.copy())
 
     def _sample_now(self) -> None:
-        """Store the sample of the present time, if one is due; colliding bodies already have their new velocities."""
+        """Store a sample of the present time if a sample is due; colliding bodies already have their new velocities."""
         if self._next_sample() == self._time:
             self._position.append(self._bodies.position.copy())
             self._velocity.append(self._bodies.velocity.copy())
 
     def _next_sample(self) -> float:
-        """Return the time of the next sample in s, infinite after the last."""
+        """Return the time (s) of the next sample; infinite after the last sample."""
         return float(self._times[len(self._position)]) if len(self._position) < len(self._times) else math.inf
 
     def _at(self, before: float, y: FloatArray, time: float) -> FloatArray:
-        """Return the state at a time within the step that begins with a state."""
+        """Return the state at a time within the step from the state ``before`` to ``y``."""
         if time == before:
             return y
         solver = self._solver(before, y, time, first_step=time - before)
@@ -261,7 +262,7 @@ class _Solver:
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
 
     def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:
-        """Return time and state of the first contact in the last step, if there is one."""
+        """Return time and state of the first contact in the last step, if any."""
         dense = OdeSolution([before, solver.t], [solver.dense_output()])
         end = solver.t
         looks = [dense(before), dense((before + end) / 2), dense(end)]
@@ -289,7 +290,7 @@ class _Solver:
         return time if self._gap(dense(end), pair) <= near else math.inf
 
     def _refined(self, before: float, y: FloatArray, time: float, pair: int) -> tuple[float, FloatArray]:
-        """Refine the time of a contact by Newton's iteration on steps that end there."""
+        """Refine the time of a contact by Newton's iteration with steps that end at this time."""
         at = y
         for _ in range(NEWTON):
             at = self._at(before, y, time)

@@ -1,12 +1,13 @@
-"""The reference against which settings of a scene are measured: an exact solution, or the scene with smaller steps.
+"""The reference for measuring the settings of a scene: an exact solution, or the scene with smaller steps.
 
-A ball on planes has closed forms (`ball_on_planes.py`); both checks start displaced by rounding errors.
+One ball between planes has closed forms (`ball_on_planes.py`). Two further solutions, whose starts are displaced by
+rounding errors, are checks.
 
-A few bodies in open space are solved exactly (`event_driven_reference.py`). Two further solutions are checks. Both
-start displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser.
-Other scenes are run with smaller and smaller steps, each half of the previous one. Without forces, flights are exact
-and only times of impact can be wrong, so these runs locate them within the step. The last run is the reference, and
-the run before it the check.
+A few bodies in open space are solved exactly (`event_driven_reference.py`). Again two further solutions are checks.
+Their starts are displaced by rounding errors, which shows how fast chaos separates the runs, and one has a tolerance
+ten times looser. Other scenes are run with smaller and smaller steps, halved from run to run. Without forces, flights
+are exact and only times of impact can be wrong, so these runs locate times of impact within the step. The last run is
+the reference, and the run before it is the check.
 
 The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
 system. Up to the horizon, the uncertainty of the reference is the largest error of a check. Beyond the horizon, only
@@ -37,25 +38,28 @@ from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import counted
 
 
-# Errors of a run relative to a reference: of positions and times up to a horizon, of statistics beyond it.
+# Errors of a run relative to a reference: errors of positions and times up to a horizon, errors of statistics beyond
+# it.
 @dataclass(frozen=True, slots=True)
 class Errors:
     """The errors of a run; NaN if not measured. Smaller is better for each."""
 
-    position: float  # rms position error over bodies and samples up to the horizon, over the size of the system
-    velocity: float  # rms velocity error over bodies and samples, over the speed of the system
-    impact: float  # s, rms error in the time of the first contact, over the pairs that met before the horizon
-    missed: float  # number of pairs with no contact by then; `impact` counts them as meeting at the horizon
-    energy: float  # largest |integration error| over the energy scale, from the ledger
-    energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
-    momentum: float  # largest error of the momentum over its scale
+    # rms position error of all bodies and samples up to the horizon, relative to the size of the system
+    position: float
+    velocity: float  # rms velocity error of all bodies and samples, relative to the speed of the system
+    impact: float  # s, rms error in the time of the first contact of pairs that met before the horizon
+    # number of these pairs that the run does not let meet by then; `impact` counts them as meeting at the horizon
+    missed: float
+    energy: float  # largest |integration error| in the ledger, relative to the energy scale
+    energy_gain: float  # largest rise of the total energy above its previous minimum, relative to the energy scale
+    momentum: float  # largest error of the momentum, relative to its scale
     angular_momentum: float
-    overlap: float  # deepest overlap over the smaller radius
+    overlap: float  # deepest overlap, relative to the smaller radius
     sinking: float  # error of the mean overlap of contacts late in the run; NaN if nothing can rest
     impacts: float  # | number of impacts / number of the reference's impacts - 1 |
-    size: float  # rms error of the rms radius over all samples, relative to the reference
+    size: float  # rms error of the rms radius in all samples, relative to the reference
     dispersion: float  # error of the rms speed about the centre
-    # of the errors above that are compared at samples: the largest, and that at the end of the scene
+    # the errors above that are compared at samples: the largest value, and the value at the end of the scene
     position_max: float
     position_end: float
     velocity_max: float
@@ -64,23 +68,23 @@ class Errors:
     size_end: float
     dispersion_max: float
     dispersion_end: float
-    # a settled pile, where trajectories are not compared to the end; see `settled_pile.Settled`
+    # errors of a settled pile, if trajectories are not compared to the end; see `settled_pile.Settled`
     height: float = math.nan  # relative to the reference
     density: float = math.nan  # relative to the reference
-    coordination: float = math.nan  # contacts per body
+    coordination: float = math.nan  # error in contacts per body
     settled_energy: float = math.nan  # relative to the reference
-    rest_time: float = math.nan  # s
+    rest_time: float = math.nan  # s, error of the time at which the pile comes to rest
 
 
 NAMES = tuple(Errors.__dataclass_fields__)
-OVER_TIME = ("position", "velocity", "size", "dispersion")  # errors at each sample
+OVER_TIME = ("position", "velocity", "size", "dispersion")  # errors that are measured at each sample
 MEASURES = {"rms": "", "max": "_max", "end": "_end"}  # measures of an error over time, and the suffixes of their names
 OF_SAMPLES = tuple(error + ending for error in OVER_TIME for ending in MEASURES.values())
-COMPARED = (*OF_SAMPLES, "impact", "missed", "impacts", *Settled._fields)  # with the reference
+COMPARED = (*OF_SAMPLES, "impact", "missed", "impacts", *Settled._fields)  # errors that need a reference
 
 
 def phrase(error: str) -> str:
-    """Return an error in words, such as "position (rms)" or "position (largest)"."""
+    """Return the name of an error in words, such as "position (rms)" or "position (largest)"."""
     base, _, measure = error.rpartition("_")
     if base in OVER_TIME:
         return f"{base} ({'largest' if measure == 'max' else 'at the end'})"
@@ -106,7 +110,7 @@ class ErrorScale:
 
     length: float  # m, the largest rms distance from the centre, or half the box
     speed: float  # m/s, the largest rms speed about the mean velocity
-    box: FloatArray | None = None  # (3,) m, of a periodic domain
+    box: FloatArray | None = None  # (3,) m, size of a periodic domain
 
     @classmethod
     def of(cls, trajectory: Trajectory, box: FloatArray | None) -> ErrorScale:
@@ -160,7 +164,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
 
 
 def _over_time(name: str, errors: FloatArray, reaches_end: bool) -> dict[str, float]:
-    """Return the measures of an error over the samples; the last sample is the end if the samples reach it."""
+    """Return the measures of an error over the samples; ``reaches_end``: the last sample is the end."""
     largest = float(np.abs(errors).max()) if len(errors) else np.nan
     end = float(abs(errors[-1])) if len(errors) and reaches_end else np.nan
     return {name: _total(errors), f"{name}_max": largest, f"{name}_end": end}
@@ -189,13 +193,14 @@ def _total(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values * values))) if len(values) else np.nan
 
 
-ORDER_MATTERS = 1e-10  # relative difference of speeds beyond rounding, if impacts happen in another order
+ORDER_MATTERS = 1e-10  # relative difference of speeds that is more than rounding, if impacts happen in another order
 AGREEMENT = 1e-3  # distance, in sizes of the system, at which refinements disagree
-LOOSER = 10.0  # tolerance of the second exact solution over that of the first
-GAIN = 1.1  # refinement ends when the horizon grows by a smaller factor
+LOOSER = 10.0  # ratio of the tolerances of the second and the first exact solution
+GAIN = 1.1  # refinement ends when it extends the horizon by a smaller factor
 BUDGET = 120.0  # s, computing time for a reference
-DIRECT_UP_TO = 20_000  # bodies up to which the reference of a tree is a direct sum; beyond, it uses `FINE_ANGLE`
-FINE_ANGLE = 0.2  # rad; a tree's error is a twentieth of that at the default angle
+# bodies up to which a scene with a tree has a direct sum as reference; with more, a tree with `FINE_ANGLE`
+DIRECT_UP_TO = 20_000
+FINE_ANGLE = 0.2  # rad; a twentieth of the tree's error at the default angle
 
 Teller = Callable[[str], None]
 
@@ -207,12 +212,13 @@ class Reference:
     trajectory: Trajectory
     scale: ErrorScale
     kind: str  # "exact" or "refined"
-    fineness: float  # the scene's step over the reference's; infinite if the reference is exact
+    fineness: float  # ratio of the scene's step to the reference's step; infinite if the reference is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
     whole: bool  # whether the horizon is the end of the scene
-    uncertainty: Errors  # for each error, the larger one of the checks, measured as settings are; at least rounding
-    text: str  # description
-    pile: Pile | None = None  # whose settled state is compared, too
+    # for each kind of error, the larger error of the checks, measured as for settings; at least rounding
+    uncertainty: Errors
+    text: str  # description of the reference
+    pile: Pile | None = None  # pile whose settled state is also compared
 
     @property
     def horizon(self) -> float:
@@ -253,7 +259,7 @@ def make_reference(
 
 
 def refined(scene: Scene, factor: float) -> list[str]:
-    """Return the overrides that divide the steps of a scene by a factor, whichever limit applies."""
+    """Return the overrides that divide the steps of a scene by a factor, whichever limit sets them."""
     rule, units = scene.time, scene.unit_system
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
@@ -277,7 +283,7 @@ def _largest_step(scene: Scene) -> float:
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
-    """Return the ratio of the scene's steps to a setting's, for the limit that shrank most.
+    """Return the ratio of the scene's steps to a setting's steps, for the limit that shrank most.
 
     The ratio is 1 if an integrator chooses its steps by its own error, since no limit then changes the steps.
     """
@@ -313,7 +319,7 @@ def _ball(scene: Scene, tell: Teller) -> tuple[Reference | None, str]:
 
 
 def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tuple[Reference | None, str]:
-    """Return the exact reference of a scene; None and the reason if none of its samples is certain."""
+    """Return the exact reference of a scene; None and the reason if no sample is certain."""
     times = sample_times(scene)
     tell(f"reference: exact, DOP853 with tolerances of {TIGHTEST:g}")
     best = solve(Space(scene, threads), times, budget=budget / 3)
@@ -355,7 +361,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
     _, of_gravity = _finer_gravity(scene)
-    check_is_coarser = 2.0 * watch.seconds > budget  # the check would take too long with half the step
+    check_is_coarser = 2.0 * watch.seconds > budget  # with half the step, the check would take too long
     while True:
         factor, started = 2.0 * factor, watch.seconds
         if check_is_coarser:
@@ -375,7 +381,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _with_pile(scene: Scene, reference: Reference, check: Trajectory, threads: int | None, tell: Teller) -> Reference:
-    """Add the settled pile, with its scatter over seeds, to a reference that becomes uncertain during the run."""
+    """To a reference that becomes uncertain during the run, add the settled pile, with its scatter between seeds."""
     pile = None if reference.is_complete else Pile.of(scene)
     if pile is None:
         return reference
@@ -394,7 +400,7 @@ def _with_pile(scene: Scene, reference: Reference, check: Trajectory, threads: i
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
-    """Return the scene with smaller steps, without the error of a tree and, without forces, with times of impact."""
+    """Return the scene with smaller steps and no error of a tree; without forces, also with exact times of impact."""
     overrides = refined(scene, factor) + _finer_gravity(scene)[0]
     if not require(scene).accelerates:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
@@ -414,7 +420,7 @@ def _reference(
     scene: Scene, best: Trajectory, checks: list[Trajectory], *, kind: str, fineness: float, whole: bool, text: str
 ) -> Reference:
     scale = scale_of(scene, best)
-    samples = 0 if not checks else len(best)  # samples up to the first divergence of a check
+    samples = 0 if not checks else len(best)  # number of samples up to the first divergence of a check
     for check in checks:
         apart, _ = scale.apart(best, check)
         diverged = np.flatnonzero(~(apart <= AGREEMENT))

@@ -21,7 +21,7 @@ from carom.runs.stopwatch import Stopwatch
 from carom.scene.load import Scene
 from carom.scene.units.dimension import TIME
 
-EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs another engine's setting, sampled at times in s
+EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
 
 
 class SettingRuns:
@@ -54,7 +54,7 @@ class SettingRuns:
         return scene
 
     def follow(self, result: SettingResult, bound: RunBound, tell: Teller) -> Trajectory | None:
-        """Run a setting with samples, and note what happened; return None if the run was stopped or failed."""
+        """Run a setting with samples, and note how it ended; return None if the run was stopped or failed."""
         times, setting = sample_times(self.scene), result.setting
         result.reason, units = "", self.scene.unit_system
 
@@ -82,7 +82,7 @@ class SettingRuns:
     def cost(self, result: SettingResult) -> float:
         """Run a setting once without recording; return its time in s, including the time of a look-ahead.
 
-        On one thread that is CPU time, which other programs on the machine hardly change.
+        With one thread, this is CPU time, which other programs on the machine hardly change.
         """
         setting = result.setting
         if setting.engine:
@@ -94,7 +94,7 @@ class SettingRuns:
         scene = with_promise(scene, threads)
         ahead = clock() - began
         space = Space(scene, threads)
-        space.check_interval = math.inf  # other engines compute no checks
+        space.check_interval = math.inf  # no checks, since other engines compute none
         began = clock()
         for _ in space.run(schedule=at(())):
             pass
@@ -102,5 +102,5 @@ class SettingRuns:
 
 
 def _engine_called(name: str) -> Any:
-    """Return an engine, a `carom.engines.engine.Engine`; that folder may be missing."""
+    """Return an engine (`carom.engines.engine.Engine`); the folder of engines may be missing."""
     return registry.imported("carom.engines.engine:engine_called")(name)

@@ -1,12 +1,12 @@
 """The settings of a scene to be compared, their results as entries of ``tradeoff.json``, and the Pareto front.
 
 A setting is on the front if no other setting beats it in both cost and error. Errors are the same in every run. Costs
-are noisy, so each is an interval. A setting is beaten if another setting has no larger error and a cost interval that
-lies entirely below. A setting is on the front if the cost intervals of all settings with no larger error lie entirely
-above its own. Otherwise the setting is undecided. If the intervals of two measurements overlap for each setting, no
-setting is on the front in one measurement and beaten in the other. A front of medians would change with every
-measurement of settings with equal costs. Unequal errors that differ by less than the uncertainty of the reference are
-not distinguished.
+are noisy, so each cost is an interval. A setting is beaten if another setting has no larger error and a cost interval
+that lies entirely below. A setting is on the front if the cost intervals of all settings with no larger error lie
+entirely above its own. Otherwise the setting is undecided. If two measurements give overlapping intervals for each
+setting, no setting is on the front in one measurement and beaten in the other. A front of medians would change with
+every measurement of settings with equal costs. Unequal errors that differ by less than the uncertainty of the reference
+are not distinguished.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from carom.scene import variation
 from carom.scene.integrators import INTEGRATORS, integrator_called
 from carom.scene.load import Scene
 
-STEPS_WORD = "steps"  # the first word in the name of a factor on every step
-STEP = "step"  # a pseudo-key: a factor on whichever limits of the step apply
-THREADS = "threads"  # threads of the kernels, which change the cost but no bits
+STEPS_WORD = "steps"  # first word in the name of a setting that multiplies every step
+STEP = "step"  # a pseudo-key: a factor on all limits of the step that apply
+THREADS = "threads"  # number of threads of the kernels, which changes the cost but no bits
 TIMING = "contact.timing"
 DIRECT_UP_TO = 20  # largest number of bodies for which no tree is tried
-MOST_ACCURATE = 100  # most bodies; with more, looking ahead takes longer than all other settings
+# most bodies for settings with an accuracy; with more, looking ahead takes longer than all other settings
+MOST_ACCURATE = 100
 ACCURACIES = ("1e-4", "1e-8")
 METHOD = (  # keys and sections that change how a scene is computed
     "time",
@@ -43,7 +44,8 @@ METHOD = (  # keys and sections that change how a scene is computed
     *(f"contact.{key}" for key in ("solver", "sweeps", "stabilisation", "colouring", "search", "timing", "sleep")),
     "model",
 )
-MEDIAN_INTERVAL = 0.98  # 1.96 binomial deviations: × √n, the ranks from the median to the ends of its 95 % interval
+# 1.96 binomial deviations: × √n, this is the distance of ranks between the median and the ends of its 95 % interval
+MEDIAN_INTERVAL = 0.98
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 
 
@@ -59,7 +61,7 @@ class GridPoint:
         return dict(self.values).get(key)
 
     def having(self, key: str, value: str | None) -> GridPoint:
-        """Return the point with another value of a key; with None, the value of the scene."""
+        """Return the point with another value of a key; None restores the value of the scene."""
         others = {k: v for k, v in self.values if k != key}
         return GridPoint(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
 
@@ -73,7 +75,7 @@ class GridPoint:
 
 
 def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Return the keys that trade speed for accuracy in a scene, each with further values."""
+    """Return the keys that trade speed for accuracy in a scene, each with values to try."""
     parts = require(scene)
     forces, located = parts.accelerates, parts.impact_time.modelled
     found: dict[str, tuple[str, ...]] = {}
@@ -97,7 +99,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
                 found["gravity.quadrupoles"] = ("true", "false")
         else:
             found["gravity.method"] = ("tree",)
-    if scene.has_piston:  # other values are refused
+    if scene.has_piston:  # other values are refused in scenes with pistons
         for key in ("time.integrator", "contact.solver"):
             found.pop(key, None)
     # the values of the scene, with automatic ones resolved
@@ -155,7 +157,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
 
 
 def _controls_error(scene: Scene, point: GridPoint) -> bool:
-    """Return whether a factor on the step has no effect at a point."""
+    """Return whether a factor on the step has no effect at a point, because the integrator controls its error."""
     return integrator_called(point.value("time.integrator") or auto.integrator(scene).name).controls_error
 
 
@@ -177,7 +179,7 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
     """
     settings = [_setting(scene, picked) for picked in itertools.product(*map(_axis, choices))]
     for choice in choices:
-        # errors are relative to the original scene
+        # keys that change the scene itself are refused, since errors are relative to it
         key = choice.partition("=")[0].strip()
         known = (STEP, THREADS, *METHOD)
         if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
@@ -192,8 +194,8 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
 class _Choice:
     """One value of one key."""
 
-    word: str = ""  # in names of settings
-    override: str = ""  # as given to ``--set``
+    word: str = ""  # word in names of settings
+    override: str = ""  # override as given to ``--set``
     step: float = 1.0  # factor on the step
     threads: int | None = None
 
@@ -256,8 +258,8 @@ def _longer(step: float) -> str:
 def scales_steps(scene: Scene) -> bool:
     """Return whether a factor on the limits of the step scales every step.
 
-    A factor does not if the integrator chooses its steps by its own error, or if bodies held by contacts have an
-    automatic limit of their own, for which there is no key.
+    It does not if the integrator chooses its steps by its own error, or if bodies held by contacts have an automatic
+    limit of their own, since no key sets that limit.
     """
     if scene.time.fixed_dt is not None:
         return True
@@ -276,14 +278,14 @@ class SettingResult:
 
     setting: Setting
     status: str = "pending"  # "measured", "refused", "stopped", "failed" or "left out"
-    reason: str = ""  # why it was refused, stopped, left out or not timed, or failed
+    reason: str = ""  # why the setting was refused, stopped, left out or not timed, or why it failed
     costs: list[float] = field(default_factory=list)  # s, cost of each timed run
     steps: int = 0
     frames: int = 0  # frames in a recording of the run
     errors: Errors | None = None
     spent: float = 0.0  # s of CPU time at which the run was stopped
     followed: float = 0.0  # s, time of the run that measured the errors; 0 if unknown
-    digest: str = ""  # of its trajectory
+    digest: str = ""  # digest of its trajectory
     same_as: str = ""  # name of an earlier setting whose run has the same bits, and therefore the same costs
 
     @property
@@ -293,10 +295,10 @@ class SettingResult:
 
     @property
     def spread(self) -> float:
-        """Half the 95 % interval of the median cost, over the median; 0 for a single cost.
+        """Half the 95 % interval of the median cost, relative to the median; 0 for a single cost.
 
-        The interval lies between two of the sorted costs, equally far from both ends. The interval is the whole range
-        of up to eight costs; for fewer than six costs, it is less certain.
+        The ends of the interval are two of the sorted costs, equally far from the first and the last cost. Up to eight
+        costs, it is their whole range; for fewer than six costs, it is less certain than 95 %.
         """
         if not self.costs:
             return 0.0
@@ -335,7 +337,7 @@ def pareto_front(
     """
     known = ~np.isnan(cost + error)
     low, high = cost / (1.0 + noise), cost * (1.0 + noise)
-    one, other = error[:, None], error[None, :]  # [j, k]: setting j beside setting k
+    one, other = error[:, None], error[None, :]  # element [j, k] compares setting j with setting k
     better = one + doubt < other
     no_worse = better | (one + doubt == other) | (one == other)
     rivals = known[:, None] & ~np.eye(len(cost), dtype=bool)

@@ -1,8 +1,8 @@
 """Quantities of a settled pile, which are compared once chaos ends the comparison of trajectories.
 
-No two runs of a pile agree in where each body ends. Within the scatter between seeds, runs agree in the pile's height,
-density, number of contacts and energy, and in the time that the pile takes to come to rest. That scatter is the
-uncertainty of these errors: a setting whose pile differs by less is as good as any other.
+No two runs of a pile agree in where each body ends. Within the scatter between seeds, runs do agree in the pile's
+height, density, number of contacts and energy, and in the time in which the pile comes to rest. This scatter is the
+uncertainty of the errors of a pile: a setting whose pile differs by less is as good as any other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from carom.physics.vector import minimum_images
 from carom.plan.features import require
 from carom.scene.load import Scene
 
-SEEDS = 4  # runs with other seeds that measure the scatter
+SEEDS = 4  # number of runs with other seeds that measure the scatter
 TOUCHING = 1e-3  # largest gap of a contact, in smaller radii
 AT_REST = 1e-6  # fraction of the largest kinetic energy below which a pile is at rest
 
@@ -45,7 +45,7 @@ class Pile:
 
     @classmethod
     def of(cls, scene: Scene) -> Pile | None:
-        """Return the pile of a scene; None if its bodies do not settle, or are not placed by a seed."""
+        """Return the pile of a scene; None if its bodies do not settle, or if no seed places them."""
         field, needs = np.array(scene.gravity.uniform), require(scene)
         if not (field.any() and needs.resting.modelled and scene.group):
             return None
@@ -60,7 +60,7 @@ class Pile:
         lowest = float((along - self.radius).min())
         volume = 4.0 / 3.0 * np.pi * self.radius**3
         height = float(np.average(along, weights=self.mass)) - lowest
-        sides = np.linalg.svd(up[np.newaxis])[2][1:]  # two directions across
+        sides = np.linalg.svd(up[np.newaxis])[2][1:]  # two horizontal directions
         across = [float((x @ side + self.radius).max() - (x @ side - self.radius).min()) for side in sides]
         middle = float(np.average(along, weights=volume)) - lowest
         kinetic = 0.5 * np.sum(self.mass * np.sum(run.velocity**2, axis=2), axis=1)  # (K,)
@@ -87,7 +87,7 @@ class Pile:
     def scatter(self, others: list[Settled], reference: Trajectory) -> dict[str, float]:
         """Return the standard deviations between a reference and runs with other seeds, in the units of the errors.
 
-        The time to rest is known to the time between two samples.
+        The time to rest is uncertain by at least the time between two samples.
         """
         exact, scattered = self.settled(reference), {}
         for name in Settled._fields:

@@ -20,7 +20,7 @@ from carom.terminal.printing import finite
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
-VERSION = 7  # of the document
+VERSION = 7  # version of the document
 
 
 def trajectory_path(folder: Path, setting: Setting) -> Path:
@@ -37,7 +37,7 @@ def read_document(folder: Path, scene: Scene, advice: str) -> tuple[Reference | 
     Raises
     ------
     ExperimentError
-        With advice, if the folder contains a study of another scene, or one that cannot be read.
+        With advice, if the folder contains a study of another scene, or a study that cannot be read.
     """
     path = folder / DOCUMENT
     try:
@@ -52,7 +52,8 @@ def read_document(folder: Path, scene: Scene, advice: str) -> tuple[Reference | 
             for result in results:
                 if result.status == "measured" and reference is not None:
                     result.errors = reference.errors(Trajectory.load(trajectory_path(folder, result.setting)))
-                elif result.status in ("refused", "measured", "left out"):  # another version may be able to run it
+                # another version of carom may be able to run the setting
+                elif result.status in ("refused", "measured", "left out"):
                     result.status = "pending"
                 if result.same_as:
                     result.share_costs_of(by_name[result.same_as])
@@ -109,7 +110,7 @@ def reference_entry(reference: Reference) -> dict[str, Any]:
 
 
 def reference_of(entry: dict[str, Any], scene: Scene, trajectory: Trajectory) -> Reference:
-    """Read a reference; its trajectory is given."""
+    """Read a reference; its trajectory is an argument."""
     return Reference(
         trajectory,
         scale_of(scene, trajectory),

@@ -59,13 +59,13 @@ from carom.runs.environment import environment
 from carom.scene.load import Scene
 from carom.terminal.printing import finite
 
-FIGURES = "tradeoff.png", "tradeoff.svg", "tradeoff.pdf"  # the figure, as pixels and as vectors
+FIGURES = "tradeoff.png", "tradeoff.svg", "tradeoff.pdf"  # files of the figure, as pixels and as vectors
 TABLE = "tradeoff.csv"
 OVERLAY = "tradeoff.rrd"
 ADVICE = "start over with --force, or choose another folder with -o"
-ROUND_OFF = 1e-13  # round-off of a whole run, over its scale
+ROUND_OFF = 1e-13  # round-off of a whole run, relative to its scale
 WORK = 3e7  # most steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
-BODIES_PER_STEP = 30  # bodies whose step takes as long as a step without bodies
+BODIES_PER_STEP = 30  # number of bodies whose step takes as long as a step without bodies
 DEARER = 30.0  # steps that a bounded setting may always make, in multiples of the scene's own
 CERTAIN = 6  # fewest costs whose range contains the median with 95 % probability
 WRITING = 1.0  # s between two writings of the document while short runs are timed
@@ -86,10 +86,10 @@ class Study:
     limit
         s of CPU time at which a run is stopped, and s after which no reference begins.
     files
-        Names of the files that the command writes into the folder; existing ones are not replaced before it has a
-        study.
+        Names of the files that the command writes into the folder; existing files are not replaced before the folder
+        has a study.
     bounded
-        Whether each setting is also stopped after a number of steps, see `WORK`, as for default settings.
+        Whether each setting is also stopped after a number of steps, see `WORK`, as which applies to default settings.
     budget
         s that all measurements may take; None for `RUNS` times the time of the scene as written.
 
@@ -144,10 +144,11 @@ class Study:
 
     @property
     def noise(self) -> float:
-        """The relative uncertainty of every cost: the median of the intervals or, if costs are few, of the ranges.
+        """The relative uncertainty of every cost: the median of the intervals, or of the ranges if costs are few.
 
-        A single run deviates by half the range, but two of three runs, and with them the median, may deviate in the
-        same direction by chance. A setting with a larger range has the larger uncertainty. 0 if nothing was run twice.
+        A single run deviates by half the range, but two of three runs, and therefore the median, may deviate in the
+        same direction by chance. A setting with a larger range has a larger uncertainty. The result is 0 if nothing was
+        run twice.
         """
         ranges = [
             result.spread if len(result.costs) >= CERTAIN else 2.0 * result.spread
@@ -171,12 +172,12 @@ class Study:
         Parameters
         ----------
         repeats
-            Timings of each setting; None for as many as the front needs, within the budget.
+            Number of timings of each setting; None for as many as the front needs, within the budget.
         chooses
             Whether to leave out settings that cannot be on the front.
         """
         results = [self._result(setting) for setting in settings]
-        scenes = [self.runs.scene_of(result) for result in results]  # loads their kernels before the clock runs
+        scenes = [self.runs.scene_of(result) for result in results]  # loads the scenes' kernels before the clock runs
         if self.budget.seconds is None:
             self.budget.choose(self._run_time(tell))
         self.budget.begin()
@@ -211,7 +212,7 @@ class Study:
     def _examine_setting(
         self, result: SettingResult, scene: Scene | None, heading: str, tell: Teller, chooses: bool
     ) -> None:
-        """Measure the errors of a setting, unless they are known, or it is left out."""
+        """Measure the errors of a setting, unless they are known or the setting is left out."""
         bound = self._bound(result)
         is_longer = result.steps < bound.steps and result.spent < bound.seconds
         if result.status not in ("pending", "left out") and not (result.status == "stopped" and is_longer):
@@ -247,7 +248,7 @@ class Study:
             tell("as written: the time of a run")
             if written.status != "measured":
                 self._follow(written, lambda text: tell(f"as written{text}"))
-            if written.status != "measured":  # a run such as one stopped at its limit
+            if written.status != "measured":  # for example, a run that was stopped at its limit
                 return written.spent
             written.costs.append(self.runs.cost(written))
         return written.cost
@@ -262,7 +263,7 @@ class Study:
         return Errors(**{name: self.floor(name) for name in NAMES})
 
     def _exact_and_cheaper(self, scene: Scene) -> str:
-        """Name a timed setting with rounding errors alone that is cheaper than a scene with shorter steps, if any."""
+        """If a timed setting has rounding errors alone, and is cheaper than a scene with shorter steps, name it."""
         written = self._written
         finer = fineness(self.scene, scene)
         if written is None or not written.complete or finer <= 1.0:
@@ -278,7 +279,7 @@ class Study:
         )
 
     def _dominating(self, result: SettingResult) -> str:
-        """Name a timed setting that is as accurate as an untimed one and clearly cheaper than its estimate, if any."""
+        """If a timed setting is as accurate as ``result``, and clearly cheaper than its estimate, name it."""
         written = self._written
         if written is None or result.errors is None or result.setting.engine or result.setting.threads:
             return ""
@@ -294,7 +295,7 @@ class Study:
         )
 
     def _needs_a_run(self, result: SettingResult, repeats: int | None) -> bool:
-        """Return whether to time a setting again; if no number of repeats is given, while the front is uncertain."""
+        """Return whether to time a setting again; without a number of repeats, as long as the front is uncertain."""
         timed = len(result.costs)
         if result.status != "measured" or result.same_as:
             return False
@@ -320,7 +321,7 @@ class Study:
         self._written_at, self._is_unwritten = time.perf_counter(), False
 
     def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
-        """Return the reference of the scene; compute a finer one if some settings need it."""
+        """Return the reference of the scene; compute a finer reference if some settings need it."""
         return self._prepare([self.runs.scene_of(self._result(setting)) for setting in settings], tell)
 
     def _prepare(self, scenes: list[Scene | None], tell: Teller) -> Reference:
@@ -329,14 +330,15 @@ class Study:
             budget = min(BUDGET, self.limit, FOR_THE_REFERENCE * self.budget.left)
             self.reference = make_reference(self.scene, finest, threads=self.threads, budget=budget, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
-            for result in self.results:  # this setting ran before, or in an earlier study with a coarser reference
+            # a setting may have run before, or in an earlier study with a coarser reference
+            for result in self.results:
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))
             self._write()
         return self.reference
 
     def floor(self, error: str) -> float:
-        """Return the uncertainty of the reference, or of rounding: smaller errors are not distinguished."""
+        """Return the uncertainty by the reference or by rounding: smaller errors are not distinguished."""
         value = getattr(self.reference.uncertainty, error) if self.reference and error in COMPARED else 0.0
         return float(np.fmax(value, ROUND_OFF))
 
@@ -377,7 +379,8 @@ class Study:
             "environment": self._environment,
             "noise": self.noise,
             "load": self._busy,  # largest one-minute load of the machine while costs were measured
-            "budget": finite(math.inf if self.budget.seconds is None else self.budget.seconds),  # s
+            # s, budget; null without a limit
+            "budget": finite(math.inf if self.budget.seconds is None else self.budget.seconds),
             "spent": self.budget.spent,  # s, time spent by the last command
             "left_out": self.left_out,
             "reference": None if self.reference is None else reference_entry(self.reference),
@@ -423,7 +426,7 @@ class Study:
 
 
 def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
-    """Return the key that identifies a setting; its name may differ."""
+    """Return the key that identifies a setting, whatever its name."""
     return setting.overrides, setting.threads, setting.engine
 
 

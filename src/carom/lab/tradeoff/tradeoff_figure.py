@@ -1,7 +1,7 @@
 """The figure of a study, and its recording. The figure needs ``plot``.
 
-The figure shows the error over the cost, the front, and a line for each setting at several steps; the recording shows
-the trajectories of the settings over the reference.
+The figure plots the error against the cost, with the front, and a line through each setting at several steps. The
+recording shows the trajectories of the settings together with the reference.
 """
 
 from __future__ import annotations
@@ -42,12 +42,13 @@ PANELS = {
 }
 MOST_PANELS = 6
 OF_THE_RUN_ALONE = ("energy", "energy_gain", "overlap", "sinking")  # errors that need no reference
-LEAST = 1e-14  # smallest error that is not drawn as zero, since smaller ones are rounding
-ZERO_BELOW = 4.0  # smallest drawn error over the height of the line for zeros
-COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
-OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
+LEAST = 1e-14  # smallest error that is not drawn as zero, since smaller errors are rounding
+ZERO_BELOW = 4.0  # ratio of the smallest drawn error to the height of the line for zeros
+# colours of families
+COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")
+OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families, in turn, and of other engines' families
 MOST_LABELLED = 100.0  # largest ratio of costs at which 2 and 5 in each decade are labelled
-COLUMNS = 4  # of the legend
+COLUMNS = 4  # columns of the legend
 
 
 class Look(NamedTuple):
@@ -58,7 +59,7 @@ class Look(NamedTuple):
 
 
 def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None:
-    """Draw the document of a study into files (PNG, SVG, PDF); times of impacts are drawn in units of its scene.
+    """Draw the document of a study into files (PNG, SVG, PDF); times of impacts are in the units of the scene.
 
     Raises ExperimentError if matplotlib is not there, or nothing is measured.
     """
@@ -116,7 +117,7 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
 
 
 def write_table(document: dict[str, Any], path: Path) -> None:
-    """Write a CSV file with a row for each measured setting: its cost (s), its steps and its errors, which may be 0.
+    """Write a CSV file with a row for each measured setting: cost (s), steps and errors; an error may be 0.
 
     Unknown values are empty. Times of first contacts are in s.
     """
@@ -154,7 +155,7 @@ def _panel(
     looks: dict[str, Look],
     units: UnitSystem | None,
 ) -> None:
-    """Draw one error over the cost; ``units`` apply to an error that is a time."""
+    """Plot one error against the cost; ``units`` apply to an error that is a time."""
     from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
 
     one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")
@@ -184,7 +185,7 @@ def _panel(
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(which="both", color=FAINT)
-    # draws the front of the medians, since a line through certain settings alone would have gaps
+    # draws the front of the medians: a line through the certain settings alone would have gaps
     on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)

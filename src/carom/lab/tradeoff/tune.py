@@ -1,11 +1,11 @@
 """The cheapest setting of a scene whose measured errors keep given limits, by coordinate descent or from a list.
 
-The search begins at the best of about a dozen settings that differ from the scene in one key each. The search changes
+The search begins at the best of about a dozen settings, which differ from the scene in one key each. The search changes
 one key after the other until no change is an improvement. A setting is an improvement if it keeps the limits and is
-cheaper. While no setting keeps the limits, a setting nearer to them is an improvement. After each change the step is
-doubled as long as that is an improvement, and halved until the limits are kept. An integrator of high order is thus
-judged with the long steps that it allows. The result is the cheapest setting that was tried. Errors and costs need not
-be monotonic in a key, so only a search of all combinations would prove that none is cheaper.
+cheaper. As long as no setting keeps the limits, a setting nearer to the limits is an improvement. After each change,
+the step is doubled as long as doubling is an improvement, and halved until the limits are kept. An integrator of high
+order is thus judged with the long steps that it allows. The result is the cheapest setting that was tried. Errors and
+costs need not be monotonic in a key, so only a search of all combinations could prove that no setting is cheaper.
 """
 
 from __future__ import annotations
@@ -34,25 +34,25 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import suggestion
 from carom.terminal.printing import finite
 
-FRAMES_KEPT = 0.95  # fraction of the scene's frames below which recorded motion is no longer smooth
-NEARER = 0.9  # fraction of the excess above which no shorter step is tried, if half the step leaves more
-DEAREST = 16.0  # cost, in multiples of the scene's, from which no setting's step is halved
-HOPELESS = 2.0  # cost over a rival's from which a setting cannot win, even though costs are uncertain
-SHORTEST = 2.0**-6  # of the scene's step
-BETWEEN = 1.5  # factor on the step that is tried where a factor of two is too large
-FOR_CANDIDATES = 0.25  # fraction of the budget for the last timings
-CLOSE = 1.3  # cost over the lowest up to which settings are timed again before one is chosen
+FRAMES_KEPT = 0.95  # smallest fraction of the scene's frames with which recorded motion is still smooth
+NEARER = 0.9  # if half the step leaves more than this fraction of the excess, no shorter step is tried
+DEAREST = 16.0  # cost, relative to the scene's cost, from which a setting's step is not halved
+HOPELESS = 2.0  # cost, relative to a rival's cost, from which a setting cannot win, even though costs are uncertain
+SHORTEST = 2.0**-6  # shortest step, relative to the scene's step
+BETWEEN = 1.5  # factor on the step that is tried if a factor of two is too large
+FOR_CANDIDATES = 0.25  # fraction of the budget that is kept for the last timings
+CLOSE = 1.3  # settings up to this cost, relative to the lowest, are timed again before one is chosen
 
 
 class SettingSearch:
-    """A search among the settings of a study, which reuses existing measurements."""
+    """A search among the settings of a study; existing measurements are used again."""
 
     def __init__(self, study: Study, limits: dict[str, float], tell: Teller) -> None:
         self._study, self._limits, self._tell = study, limits, tell
         self._found: dict[GridPoint, SettingResult] = {}
 
     def run(self, repeats: int | None) -> list[SettingResult]:
-        """Search, and then time the scene and the settings near the lowest cost as often as requested.
+        """Search; then time the scene, and settings near the lowest cost, as often as requested.
 
         Returns the settings that were tried; the first is the scene as written.
         """
@@ -78,7 +78,7 @@ class SettingSearch:
         return [result for result in self._found.values() if result.status != "left out"]
 
     def _along_step(self, here: GridPoint, best: GridPoint | None = None) -> GridPoint:
-        """Return the point with the best step; stop when shorter steps only cost more."""
+        """Return the point with the best step; the search ends when shorter steps only cost more."""
         if not self._excess(here):
             while self._better(here, here.times(2.0)) != here:
                 here = here.times(2.0)
@@ -110,7 +110,7 @@ class SettingSearch:
         return other if self._rank(other) < self._rank(one) else one
 
     def _rank(self, point: GridPoint) -> tuple[float, float]:
-        """Return the sort key of a point: the factor by which limits are missed, then the cost in s."""
+        """Return the sort key of a point: the factor by which limits are missed, then the cost (s)."""
         excess = self._excess(point)
         return excess, self._see(point).cost if math.isfinite(excess) else math.inf
 
@@ -119,7 +119,7 @@ class SettingSearch:
         return excess(self._study, self._see(GridPoint()), self._see(point), self._limits)
 
     def _see(self, point: GridPoint) -> SettingResult:
-        """Measure a point that is not measured yet, with one run for its errors and one for its cost."""
+        """Measure a point that is not measured yet, with one run for its errors and one run for its cost."""
         if point not in self._found:
             kept = [result.cost for place, result in self._found.items() if not self._excess(place)]
             best = f"; the cheapest so far takes {min(kept):.3g} s" if kept else ""
@@ -132,7 +132,7 @@ class SettingSearch:
 
 
 def excess(study: Study, written: SettingResult, result: SettingResult, limits: dict[str, float]) -> float:
-    """Return the factor by which a setting misses the worst limit; the number of frames is a limit, too.
+    """Return the factor by which a setting misses the worst limit; the number of frames is also a limit.
 
     The factor is 0 if all limits are kept, and infinite if one error is not measured.
     """
@@ -142,14 +142,14 @@ def excess(study: Study, written: SettingResult, result: SettingResult, limits: 
     factors = [found[name] / limit if limit else 1.0 + found[name] for name, limit in limits.items()]
     missed = [factor for factor, name in zip(factors, limits, strict=True) if not found[name] <= limits[name]]
     if loses_frames(study, written, result):
-        missed.append(written.frames / result.frames)  # half the step reduces the frames that are missing
+        missed.append(written.frames / result.frames)  # with half the step, fewer frames are missing
     return max((math.inf if math.isnan(factor) else factor for factor in missed), default=0.0)
 
 
 def loses_frames(study: Study, written: SettingResult, result: SettingResult) -> bool:
     """Return whether a recording has fewer frames than the recording of the scene as written.
 
-    If the scene records every step, as many frames as in an automatic recording suffice.
+    If the scene records every step, the frames of an automatic recording are enough.
     """
     wanted = written.frames
     if study.scene.record.every == "step":
@@ -163,7 +163,7 @@ def unsure(study: Study, limits: dict[str, float]) -> list[str]:
     return [name for name, limit in limits.items() if name != "missed" and limit < study.floor(name)]
 
 
-WORSE = 1.1  # smallest increase of an error, over that of the scene as written, that is reported
+WORSE = 1.1  # smallest reported increase of an error, relative to the scene as written
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,15 +173,15 @@ class Tuning:
     study: Study
     limits: dict[str, float]
     written: SettingResult  # the scene as written
-    tried: tuple[SettingResult, ...]  # including the scene as written
+    tried: tuple[SettingResult, ...]  # all tried settings, the scene as written among them
 
     @property
     def best(self) -> SettingResult | None:
-        """The cheapest setting measured to keep every limit and the scene's frames; None if there is none.
+        """The cheapest setting that keeps every limit and the scene's frames in a measurement; None without one.
 
-        The best setting is the scene as written if the scene keeps them, too, and no other setting is certainly faster.
-        An unmeasured error, such as a position beyond the horizon, keeps no limit. A limit below the uncertainty of the
-        reference is not kept either, because it cannot be checked.
+        If the scene as written also keeps them, and no other setting is certainly faster, the scene is the best
+        setting. An unmeasured error, such as a position beyond the horizon, keeps no limit. Neither is a limit below
+        the uncertainty of the reference kept, because such a limit cannot be checked.
         """
         if unsure(self.study, self.limits):
             return None
@@ -193,17 +193,17 @@ class Tuning:
 
     @property
     def speed(self) -> float:
-        """The best setting's speed over that of the scene as written; NaN if either has no cost."""
+        """The best setting's speed relative to the scene as written; NaN if one of them has no cost."""
         return math.nan if self.best is None else self.written.cost / self.best.cost
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """The range of `speed`, from the uncertainties of both costs; NaN without them."""
+        """The range of `speed`, by the uncertainties of both costs; NaN without costs."""
         return (math.nan, math.nan) if self.best is None else self._gain(self.best)
 
     @property
     def claim(self) -> str:
-        """The certain gain in speed of the best setting over the scene as written; empty for the scene itself."""
+        """The certain gain in speed of the best setting over the scene as written; empty if these are the same."""
         low, high = self.speed_range
         if self.best is self.written or math.isnan(low):
             return ""
@@ -255,7 +255,7 @@ class Tuning:
         return min(cheaper, key=lambda result: result.cost, default=None)
 
     def worse(self) -> dict[str, tuple[float, float]]:
-        """Return the errors that are worse in the best setting than as written: both values, by name."""
+        """Return the errors that the best setting increases: both values, by name."""
         if self.best is None or self.best.errors is None or self.written.errors is None:
             return {}
         before, after = asdict(self.written.errors), asdict(self.best.errors)
@@ -338,7 +338,7 @@ def tuned(
             f'"time.duration={until}"'
         )
     (written,) = study.measure([AS_WRITTEN], 0, tell)
-    for name in limits if written.errors else ():  # an impossible error, such as an overlap where nothing can touch
+    for name in limits if written.errors else ():  # an error may be impossible, such as an overlap if nothing can touch
         if math.isnan(getattr(written.errors, name)):
             own = [each for each in NAMES if each in OVER_TIME or each not in OF_SAMPLES]
             known = ", ".join(each for each in own if not math.isnan(getattr(written.errors, each)))
@@ -384,7 +384,7 @@ def limits(asked: list[str]) -> dict[str, float]:
 
 
 def write(tuning: Tuning, path: Path) -> None:
-    """Write the scene with the best setting, its own comments, and a comment on the measurement.
+    """Write the scene with the best setting, the scene's own comments, and a comment on the measurement.
 
     Raises ExperimentError if the file cannot be written.
     """

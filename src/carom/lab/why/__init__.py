@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from carom.scene.wording import Names
 
 
-MOST_CAUSES = 12  # most causes of a body that are printed; --json has all
+MOST_CAUSES = 12  # most causes of a body that are printed; --json has all causes
 MOST_EDGES = 8
-MOST_TURNS = 3  # most turns in a row of one body
-_ROUNDED = 1e-3  # smallest unexplained part of a velocity, over the largest change, that is not rounding
+MOST_TURNS = 3  # most printed turns of one body in a row
+_ROUNDED = 1e-3  # smallest unexplained part of a velocity, relative to the largest change, that is more than rounding
 _SEEN = 0.005  # smallest share that is not printed as 0%
 _OF_ENGINE = "Impulses are the engine's contact forces times the time between frames; the rest of a velocity's change"
 _BODY = "The body whose velocity is in question."
@@ -184,7 +184,7 @@ def _look(answer: Answer, names: Names, units: UnitSystem, file: Path) -> str:
 
 
 def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Describe the velocity and the terms of its sum."""
+    """Describe the velocity and the terms that add up to it."""
     at, since = (units.text(time, TIME, ".9g") for time in (answer.time, answer.begin))
     yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
     kinds = [cause.kind for cause in account.causes]
@@ -227,7 +227,7 @@ def _causes(account: Account, names: Names, units: UnitSystem) -> ShownTable:
 
 
 def _share(cause: Cause) -> str:
-    """Return the fraction of the velocity that a cause gave or, if that is almost 0, turned round."""
+    """Return the fraction of the velocity that a cause gave; if this is almost 0, the fraction that it turned round."""
     turns = cause.turned > abs(cause.share)
     return f"turned {cause.turned:.1%}" if turns else f"{cause.share:.1%}"
 
@@ -239,7 +239,7 @@ def _kind(cause: Cause, units: UnitSystem) -> str:
 
 
 def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Describe the causes of the impulses: a chain of impacts, a flow over contacts, or neither."""
+    """Describe where the impulses came from: a chain of impacts, a flow over contacts, or neither."""
     cone = answer.cone
     others = len(answer.bodies) - len(answer.question.bodies)
     resting = [account for account in answer.accounts if account.rests]
@@ -258,7 +258,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     elif answer.chain:
         yield "The chain of causes, backwards:"
         what = "the velocity" if len(answer.question.bodies) == 1 else "both velocities"
-        # of the impacts in a row that turned one body round, print a few
+        # only a few of the impacts in a row that turned one body round are printed
         for (_, turns), some in groupby(answer.chain, key=lambda link: (link.body, link.turns)):
             links = list(some)
             most = MOST_TURNS if turns else len(links)

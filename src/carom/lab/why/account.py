@@ -10,31 +10,32 @@ from carom.arrays import BoolArray, FloatArray, Records
 from carom.lab.why.cone import Flow
 from carom.lab.why.history import History, Step
 
-_AT_REST = 1e-3  # largest speed of a body at rest, over the sum of impulses by mass that hold it in a step
+_AT_REST = 1e-3  # largest speed of a body at rest, relative to the sum of |J|/m that holds the body in a step
 
 
 @dataclass(slots=True)
 class Cause:
     """An impact, a stop, or a contact that held for some steps in a row.
 
-    A stop resembles an impact, but its contact closed no faster than the rest speed (docs/physics.md, 9).
+    A stop is an impact whose contact closed no faster than the rest speed (docs/physics.md, 9).
     """
 
     partner: int  # the end that touches this body; numbers from n on are planes and walls
     holds: bool  # whether the cause is a contact at rest
-    first: float  # s
+    first: float  # s, time of the first step
     last: float  # s, time of the last step; equal to `first` for an impact
-    step: int  # the last one
+    step: int  # number of the last step
     impulse: FloatArray  # (3,) N s, impulse on the body
     size: float  # N s, Σ |J|
     work: float  # J, work on the motion of the body's centre
     moment: float  # s, time of the impact, or of the largest impulse
     hardest: float  # N s, largest impulse in a step
-    approach_speed: float | None = None  # m/s, of an impact
-    energy_lost: float | None = 0.0  # J, dissipated by restitution and friction in both bodies; None if unknown
-    lasts: bool = False  # whether an impact is a force that lasts for some steps, as impacts of other engines do
+    approach_speed: float | None = None  # m/s, closing speed of an impact
+    energy_lost: float | None = 0.0  # J, energy that restitution and friction dissipated; None if unknown
+    lasts: bool = False  # whether an impact is a force that lasts for some steps, like impacts in other engines
     share: float = 0.0  # net fraction of the velocity that the other end gave; see `Cone`
-    turned: float = 0.0  # fraction of the velocity that the other end, which has no speed to give, turned round
+    # fraction of the velocity that the other end turned round without giving speed: a plane, a wall or a fixed body
+    turned: float = 0.0
 
     @property
     def kind(self) -> str:
@@ -49,7 +50,7 @@ class Cause:
         return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 
     def join(self, earlier: Cause) -> None:
-        """Add an account of earlier steps."""
+        """Add the impulses of an earlier part of the same cause."""
         self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
         self.size, self.work = self.size + earlier.size, self.work + earlier.work
         self.share, self.turned = self.share + earlier.share, self.turned + earlier.turned
@@ -74,16 +75,18 @@ class Account:
     velocity: FloatArray  # (3,) m/s, velocity at the chosen moment
     start_velocity: FloatArray  # (3,) m/s, velocity at the beginning of the window
     by_contacts: FloatArray  # (3,) m/s, Σ J / m
-    by_forces: FloatArray  # (3,) m/s
+    by_forces: FloatArray  # (3,) m/s, change of velocity by forces
     by_field: FloatArray  # (3,) m/s, the part of `by_forces` that the uniform field of another engine gave
     fastest: float  # m/s, the largest speed or change of velocity in the account
     start_share: float = 1.0  # share of the velocity that the body had at the beginning
     forces_share: float = 0.0  # share of the velocity that forces on the body gave
     field_share: float = 0.0  # the part of `forces_share` that the uniform field of another engine gave
-    causes: list[Cause] = field(default_factory=list)  # the latest first
+    causes: list[Cause] = field(default_factory=list)  # causes, the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m over the contacts that held the body in the last step
-    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step before each began
-    _lost: dict[int, float] = field(default_factory=dict)  # J, lost in the step to each partner, without impacts
+    # by partner: the contact, and the step before it began
+    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)
+    # J, energy lost in the step with each partner, without impacts
+    _lost: dict[int, float] = field(default_factory=dict)
     _before: int = 0  # the step before the present step
 
     @classmethod
@@ -94,7 +97,7 @@ class Account:
 
     @property
     def unexplained(self) -> float:
-        """The unexplained remainder, relative to the largest speed or change of velocity in the account."""
+        """The unexplained part of the velocity, relative to the largest speed or change of velocity in the account."""
         rest = self.velocity - self.start_velocity - self.by_contacts - self.by_forces
         return float(np.linalg.norm(rest)) / self.fastest if self.fastest > 0.0 else 0.0
 
@@ -109,7 +112,7 @@ class Account:
         return sorted(self.causes, key=lambda cause: -(cause.size if self.rests else cause.share))
 
     def share_of(self, *kinds: str) -> float:
-        """Return the share of the velocity that causes of the given kinds contribute."""
+        """Return the share of the velocity that each kind of cause contributes."""
         return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
     def take(
@@ -124,13 +127,13 @@ class Account:
     ) -> None:
         """Go back through a step, or through its beginning up to a moment.
 
-        ``rows`` are the impulses on this body up to the moment, in order, and ``flow`` their shares of its velocity,
-        (k, 1). ``shares`` are three: the share that the body carries before the step, the share that forces have given
-        it so far, and the part of the latter by another engine's uniform field. ``kicks`` are the body's changes of
-        velocity by forces, (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the step, whose
-        beginning has no contacts.
+        ``rows`` are the impulses on this body up to the moment, in order, and ``flow``, (k, 1), are their shares of the
+        body's velocity. ``shares`` has three numbers: the share that the body carries before the step, the share from
+        forces so far, and the part of the force share that comes from another engine's uniform field. ``kicks`` are the
+        body's changes of velocity by forces, (3,) m/s each. ``impacts`` and ``contacts`` are the `CONTACT_ROW` of the
+        step, if the step is whole; its beginning alone has no contacts.
         """
-        self._lost, self._before = {}, step.before_step  # losses of all contacts, less losses of impacts
+        self._lost, self._before = {}, step.before_step  # losses of all contacts, minus losses of impacts
         for some, sign in ((contacts, 1.0), (impacts, -1.0)) if len(contacts) else ():
             for row in some[_acts_on(self.body, some)]:
                 self._lost[self._other(row)] = self._lost.get(self._other(row), 0.0) + sign * _loss(row)
@@ -139,7 +142,7 @@ class Account:
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # kicks before and after the drift
         self.start_share, self.forces_share, self.field_share = shares
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
-        # the velocity right after the last of the impulses
+        # the velocity right after the last impulse
         kicked = first + last if late else first
         now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
         keys = list(zip(rows["instant"].tolist(), (rows["holds"] | rows["lasts"]).tolist(), strict=True))
@@ -171,8 +174,9 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their net and turned shares, (k, 2); return the velocity before them.
 
-        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. The work of contacts follows
-        from the mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
+        Contacts at rest and lasting contacts cancel a ``kick``, (3,) m/s, of the forces. The work of contacts is
+        computed with the mean velocity without this kick, so that the normal force of a floor does no work on a sliding
+        ball.
         """
         impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))
@@ -195,7 +199,7 @@ class Account:
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, lasts=lasts)
         cause.share, cause.turned = shares
         if not holds:
-            # approach speed and energy loss are those of the recorded impact
+            # approach speed and energy loss come from the recorded impact
             low, high = sorted((self.body, partner))
             own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == time)]
             if len(own):  # a pair may meet several times at one moment
@@ -204,7 +208,7 @@ class Account:
                 cause.approach_speed, cause.energy_lost = float(met["approach_speed"]), _loss(met)
         if lasts:
             cause.energy_lost = None
-        elif cause.kind != "impact":  # the loss of the whole step belongs to its last cause
+        elif cause.kind != "impact":  # the loss of the whole step belongs to the last cause in the step
             cause.energy_lost = self._lost.pop(partner, 0.0)
         known = self._held.get(partner)
         if known is not None and known[0].takes(cause, step >= known[1]):
@@ -227,7 +231,7 @@ def _acts_on(body: int, rows: Records) -> BoolArray:
 
 
 def impulses_on(body: int, rows: Records, flow: Flow, place: int) -> tuple[Records, Flow]:
-    """Return the impulses on a body, and their shares of its velocity, a column of the flow, (k, 1)."""
+    """Return the impulses on a body, and their shares of its velocity (a column of the flow), (k, 1)."""
     own = _acts_on(body, rows)
     found: Records = rows[own]
     sign = np.where(found["i"] == body, 1.0, -1.0)[:, None]

@@ -1,26 +1,26 @@
 """`Cone`: goes back through a window, from the bodies of a question to all bodies that could affect them.
 
-The velocity of each body of the question is divided into shares, which sum to 1 at the moment of the question, when the
-body itself carries all of it. Going back in time, the share that a body carries is divided in two ways:
+The velocity of each body of the question is divided into shares, whose sum is 1. At the moment of the question, the
+body itself carries the whole share. Going back in time, the share that a body carries is divided in two ways:
 
-- **Over a step**, forces are summed with the impulses that hold contacts or stop them, so that a floor and the weight
-  on it contribute nothing. If the sum N makes the body faster, N contributed the share N·e / |v|, where e points along
-  the velocity v after the step. This share is divided among the forces and contacts with a component along N, in
+- **Over a step**, forces are added to the impulses that hold contacts or stop them, so that a floor and the weight on
+the floor cancel. If the sum N makes the body faster, N contributed the share N·e / |v|, where e points along the
+velocity v after the step. This share is divided among the forces and contacts with a component along N, in
   proportion to these components.
 - **Over an instant with impacts**, the share is divided among the velocity before and the impulses, in proportion to
   the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
   magnitudes count.
 
-A sum over many short steps converges, so shares depend on the step as little as the motion. Impacts of other
+A sum over many short steps converges, so shares depend on the step no more than the motion does. Impacts of other
 engines last for some steps, so their shares are divided like the shares of forces. A share contributed by forces has
 reached its cause. A share that reaches a contact is divided between the two ends, in proportion to their speeds along
 the impulse before the impact: these speeds cause the impulse. If several bodies touch in an instant, a share may also
 come from further impulses on the other end. A plane at rest has no speed, so it returns the whole share: it turns a
-body round. A wall that moves on its own keeps its part, which has then reached its cause.
+body round. A wall that moves on its own keeps its part: this part has reached its cause.
 
 All statements about shares follow from these flows. The net share that passes over a contact is the share that the
-contact gave the body; it is negative if the body gave it to the other end and got it back later. For each body of the
-question, three shares therefore sum to 1: the shares of its start, of the forces on it, and of its contacts.
+contact gave the body. It is negative if the body gave a share to the other end, and got it back later. For each body of
+the question, the shares of its start, of the forces on it, and of its contacts therefore add up to 1.
 
 Membership is exact: going back in time, a body belongs to the cone from its first contact with a body of the cone.
 """
@@ -46,7 +46,7 @@ NEGLIGIBLE = 1e-9  # smallest share that is passed on; smaller changes of a velo
 class Flow(NamedTuple):
     """Shares at some impulses, for each of the q bodies of the question."""
 
-    net: FloatArray  # (k, q) shares passed from j to i, less shares passed from i to j
+    net: FloatArray  # (k, q) shares passed from j to i, minus shares passed from i to j
     turned: FloatArray  # (k, q) shares returned by an end that has no speed to give: a plane, a wall or a fixed body
 
     @classmethod
@@ -60,12 +60,12 @@ class Passage:
     """An impact that passed on a share of the answer, or turned it."""
 
     step: int
-    instant: int  # within the step
+    instant: int  # number of the instant within the step
     time: float  # s
     i: int
     j: int
     impulse: float  # N s
-    net: float  # share of the answer that passed from j to i, less that from i to j
+    net: float  # share of the answer that passed from j to i, minus the share that passed from i to j
     turned: float  # share of the answer that a plane, a wall or a fixed body turned round
     before_step: int  # the step before the first step of the answer
 
@@ -76,11 +76,11 @@ class Edge:
 
     i: int
     j: int
-    first: float  # s
-    last: float  # s
+    first: float  # s, time of the first impulse
+    last: float  # s, time of the last impulse
     impulse: float = 0.0  # N s, Σ |J|
-    impulses: int = 0  # their number
-    share: float = 0.0  # share of the answer that passed over it, in either direction
+    impulses: int = 0  # number of impulses
+    share: float = 0.0  # share of the answer that passed over the edge, in either direction
 
 
 @dataclass(slots=True)
@@ -88,16 +88,16 @@ class Cone:
     """The bodies behind an answer, their shares, and the contacts between them."""
 
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    count: int  # of bodies
+    count: int  # number of bodies, n
     drives: BoolArray  # (n + p,) whether a plane or wall moves on its own
     weights: FloatArray  # (q,) weight in the answer of each body in the question
     carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries now
     forced: FloatArray  # (n, q) share that forces on each body contributed
     fielded: FloatArray  # (n, q) part of `forced` that another engine's uniform field contributed
-    reached: BoolArray  # (n,) whether the body could have had an effect
+    reached: BoolArray  # (n,) whether the body could have had an effect on the answer
     since: FloatArray  # (n,) s, the last moment at which the body could have had an effect; NaN for bodies outside
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
-    passages: list[Passage] = field(default_factory=list)  # the latest first
+    passages: list[Passage] = field(default_factory=list)  # passages, the latest first
     pairs: list[IntArray] = field(default_factory=list)  # arrays (k, 2) of the pairs of bodies that have touched so far
     _lasting: dict[tuple[int, int], Passage] = field(default_factory=dict)  # the earliest contact of each pair
     _before_step: int = 0  # the step before the present step
@@ -141,10 +141,10 @@ class Cone:
         return np.asarray(self.carried[self.count :] @ self.weights)
 
     def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> Flow:
-        """Go back through a step, or through its beginning up to a moment; return the flow over each of its impulses.
+        """Go back through a step, or through its beginning up to a moment; return the flow over each impulse.
 
-        ``rows`` are the step's impulses up to the moment, in order, and ``velocity``, (n, 3) m/s, follows the last
-        impulse. Forces act if the step is ``kicked``.
+        ``rows`` are the step's impulses up to the moment, in order, and ``velocity``, (n, 3) m/s, is the velocity after
+        the last impulse. Forces act if the step is ``kicked``.
         """
         between = rows["j"] < self.count
         self.pairs.append(np.stack([rows["i"][between], rows["j"][between]], axis=1))
@@ -172,7 +172,7 @@ class Cone:
 
     def reach(self, rows: Records) -> BoolArray:
         """Add the bodies connected to the cone by contacts of a moment; return a mask of the rows in the cone."""
-        if len(rows) == 1:  # a single row is the usual case, and is five times as fast here
+        if len(rows) == 1:  # a single row is the usual case, and this branch is five times as fast
             i, j = int(rows["i"][0]), int(rows["j"][0])
             ends = [end for end in (i, j) if end < self.count]
             inside = any(self.reached[end] for end in ends)
@@ -194,7 +194,7 @@ class Cone:
     def closed(self) -> BoolArray:
         """Return a mask (n,) of the bodies connected to the cone by contacts before the moment.
 
-        Only these matter: a body outside the cone may have kept a body of the cone from touching another.
+        All these bodies matter, since a body outside the cone may have kept a body of the cone from touching another.
         """
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *self.pairs])
         graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(self.count, self.count))
@@ -203,7 +203,7 @@ class Cone:
         return inside
 
     def passed_to(self, bodies: tuple[int, ...]) -> list[float]:
-        """Return the shares of the answer that other ends passed on to some bodies, one for each impact."""
+        """Return, for each impact, the share of the answer that the other end passed on to one of some bodies."""
         nets = [(p.net if end == p.i else -p.net) for p in self.passages for end in (p.i, p.j) if end in bodies]
         return [net for net in nets if net > NEGLIGIBLE]
 
@@ -222,19 +222,20 @@ class Cone:
         after: FloatArray,
         flow: Flow,
     ) -> None:
-        """Pass on the shares contributed by the forces and the resting contacts of a step; velocities (n, 3) m/s.
+        """Pass on the shares that the forces and resting contacts of a step contributed; velocities are (n, 3) m/s.
 
-        ``own`` are the numbers of these contacts, and ``flow`` receives their shares. The forces are all forces, (n, 3)
-        m/s, and the field among them, (3,) m/s.
+        ``own`` are the row numbers of the contacts, and ``flow`` receives their shares. ``acting_forces`` are the
+        changes of velocity by all forces, (n, 3) m/s, and by the field alone, (3,) m/s.
         """
         forces, field = acting_forces
         n, m, some = self.count, len(own), rows[own]
         bodies = np.flatnonzero((self.carried[:n] > NEGLIGIBLE).any(axis=1))
-        net = np.zeros((len(self.inverse_mass), 3))  # unit vectors along the changes
-        rate = np.zeros(self.carried.shape)  # share contributed by a component of 1 m/s
+        net = np.zeros((len(self.inverse_mass), 3))  # unit vectors along the changes of velocity
+        rate = np.zeros(self.carried.shape)  # share that a component of 1 m/s contributes
         net[bodies] = _units(after[bodies] - before[bodies])
         to, J = np.concatenate((some["i"], some["j"])), np.concatenate((-_vectors(some), _vectors(some)))
-        given: FloatArray = self.inverse_mass[to] * np.maximum(0.0, (J * net[to]).sum(axis=1))  # m/s
+        # m/s, component along the change
+        given: FloatArray = self.inverse_mass[to] * np.maximum(0.0, (J * net[to]).sum(axis=1))
         by_forces = np.maximum(0.0, (forces * net[:n]).sum(axis=1))
         whole = np.bincount(to, weights=given, minlength=len(rate))[:n] + by_forces
         gain = np.zeros(n)
@@ -255,10 +256,10 @@ class Cone:
             self._note(rows, own, passed - returned, returned, flow)
 
     def _strike(self, rows: Records, struck: IntArray, inside: BoolArray, velocity: FloatArray, flow: Flow) -> None:
-        """Undo the impacts of an instant, and pass on shares over the impacts of the cone; velocities (n, 3) m/s.
+        """Undo the impacts of an instant, and pass on shares over the impacts of the cone; velocities are (n, 3) m/s.
 
-        ``struck`` are the numbers of the impacts, ``inside`` tells which are in the cone, and ``flow`` receives their
-        shares.
+        ``struck`` are the row numbers of the impacts, ``inside`` marks the impacts in the cone, and ``flow`` receives
+        their shares.
         """
         some = rows[struck]
         ends, local = np.unique(np.concatenate((some["i"], some["j"])), return_inverse=True)
@@ -270,7 +271,7 @@ class Cone:
         some, struck, chosen = some[inside], struck[inside], np.flatnonzero(np.tile(inside, 2))
         if not len(some):
             return
-        # each impulse twice, once for each end
+        # each impulse occurs twice, once for each end
         to, m = local[chosen], len(some)
         origin = np.roll(to, m)
         J = np.concatenate((_vectors(some), _vectors(some))) * self.inverse_mass[ends[to], None]
@@ -285,7 +286,7 @@ class Cone:
         self.carried[ends[moves]] = (rate * kept[:, None])[moves]
         passing = given[:, None] * rate[to]
         opposite = np.roll(np.arange(2 * m), m)
-        others = np.maximum(0.0, total[origin] - taken[opposite])  # impulses on the other end from further contacts
+        others = np.maximum(0.0, total[origin] - taken[opposite])  # impulses on the other end by further contacts
         further = np.where(~bodies[origin] | (others <= NEGLIGIBLE * total[origin]), 0.0, others)
         kept_away, back_again = np.zeros((2, 2 * m, len(self.weights)))
         for _ in range(_ROUNDS):
@@ -310,8 +311,8 @@ class Cone:
     ) -> tuple[FloatArray, FloatArray]:
         """Divide the shares that pass over contacts between their ends; return the forwarded and the returned shares.
 
-        ``passing``, (2k, q), has the shares that pass to i, then to j. ``further``, (2k,) m/s, is due to other impulses
-        on the other end. Velocities before the impulses are (n, 3) m/s.
+        ``passing``, (2k, q), has the shares that pass to i, then the shares that pass to j. ``further``, (2k,) m/s, are
+        the changes of velocity by further impulses on the other end. Velocities before the impulses are (n, 3) m/s.
         """
         to, origin = np.concatenate((rows["i"], rows["j"])), np.concatenate((rows["j"], rows["i"]))
         J = _vectors(rows)
@@ -362,7 +363,7 @@ class Cone:
             if not row["impact"]:
                 continue
             step, later = int(row["step"]), self._lasting.get((i, j))
-            if row["lasts"] and later is not None and step >= later.before_step:  # of one impact
+            if row["lasts"] and later is not None and step >= later.before_step:  # the forces belong to one impact
                 later.step, later.instant, later.time = step, int(row["instant"]), time
                 later.before_step = self._before_step
                 later.impulse += impulse
@@ -379,7 +380,7 @@ class Cone:
 def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatArray:
     """Return the fractions of speeds, (k,), that are due to the changes of velocities, (k, 3) m/s.
 
-    A change is rounding if contributions of ``acting``, (k,) m/s in all, cancel.
+    If contributions of the total size ``acting``, (k,) m/s, cancel, the remaining change is rounding.
     """
     change = after - before
     squared, gain = (after * after).sum(axis=1), (change * after).sum(axis=1)
@@ -390,7 +391,7 @@ def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatAr
 
 
 def directions(after: FloatArray, before: FloatArray, total: FloatArray) -> FloatArray:
-    """Return the directions of velocities after impacts, (k, 3); zeros where impacts (``total``, m/s) stop a body."""
+    """Return the directions of velocities after impacts, (k, 3); zeros if impacts (``total``, m/s) stop a body."""
     speed = np.sqrt((after * after).sum(axis=1))
     stops = speed <= NEGLIGIBLE * (np.sqrt((before * before).sum(axis=1)) + total)
     result: FloatArray = np.where(stops[:, None], 0.0, _units(after))
@@ -398,7 +399,7 @@ def directions(after: FloatArray, before: FloatArray, total: FloatArray) -> Floa
 
 
 def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
-    """Return the magnitudes of components along directions, (k, 3) each; of whole vectors if a direction is 0."""
+    """Return the sizes of components along directions, (k, 3) each; the sizes of whole vectors if a direction is 0."""
     whole = np.sqrt((vectors * vectors).sum(axis=1))
     result: FloatArray = np.where(along.any(axis=1), np.abs((vectors * along).sum(axis=1)), whole)
     return result
@@ -424,8 +425,8 @@ def _units(vectors: FloatArray) -> FloatArray:
 
 # The chain of causes: the strongest path back from the bodies of the question.
 MOST_LINKS = 50
-_WEAKEST = 0.1  # fraction of the share that led to a body; below it, the body's own motion is the cause
-_AT_ONCE = 0.5  # weight of an impact at the same instant as another, since their order is unknown
+_WEAKEST = 0.1  # fraction of the share that led to a body; if every impact has less, the body's own motion is the cause
+_AT_ONCE = 0.5  # weight of an impact at the same instant as the impact after it, since their order is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,7 +440,7 @@ class Link:
     by: int  # the end that acted; numbers from n on are planes and walls
     impulse: float  # N s
     share: float  # share of the answer that passed from `by` to `body`
-    turned: float = 0.0  # share of the answer that `by`, which has no speed to give, turned round
+    turned: float = 0.0  # share of the answer that `by` turned round without giving speed
     turns: bool = False  # whether the impact is in the chain because it turned the body round
 
 
@@ -447,7 +448,7 @@ def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
     """Return the impacts of the chain, the latest first; none if no impact passed on a tenth of the answer.
 
     From each body, the chain follows the earlier impact with the largest share of the answer, until the body's own
-    motion has a larger share. The impacts in between that turned the body round are links, too; they lead back to the
+    motion has a larger share. Impacts in between that turned the body round are also links; they lead back to the
     motion of the same body.
     """
     left = list(cone.passages)
@@ -464,7 +465,7 @@ def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
             for number, link in earlier
             if link.turned >= _WEAKEST * share and (found is None or (link.body == found.body and number < place))
         ]
-        if found is None and turns:  # turns of only one body, if the question names two
+        if found is None and turns:  # if the question names two bodies, turns of only one of them count
             body = max(turns, key=lambda link: link.turned).body
             turns = [link for link in turns if link.body == body]
         links += turns

@@ -1,4 +1,4 @@
-"""`Question`: bodies and a moment; `History`: every impulse of the window before it.
+"""`Question`: bodies and a moment; `History`: every impulse in the window before that moment.
 
 The window of a recording of carom is run again. For another engine, the impulses follow from the recorded states and
 contact forces.
@@ -43,18 +43,19 @@ IMPULSE = np.dtype(
         ("y", np.float64),
         ("z", np.float64),
         ("holds", np.bool_),  # whether the impulse holds a contact at rest
-        ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it was stopped
+        # whether the contact closed faster than its rest speed; if neither flag is set, the contact was stopped
+        ("impact", np.bool_),
         ("approach", np.float64),  # m/s, closing speed of an impact; 0 if unknown
-        ("lasts", np.bool_),  # whether the impulse is a force over the whole step, as other engines have
+        ("lasts", np.bool_),  # whether the impulse is a force over the whole step, as in other engines
     ]
 )
 
-_AUDIT = 1e-12  # makes the run audit its kicks; the bound is not used
+_AUDIT = 1e-12  # any bound makes the run audit its kicks; the bound itself is not used
 
 
-MOST_FRAMES = 2_000  # most frames that are read by default; a few seconds
+MOST_FRAMES = 2_000  # most frames that are read by default, in a few seconds
 MOST_BODY_FRAMES = 100_000
-_ROUNDED = 1e-5  # relative rounding of Σ |J| / m: contacts are recorded in float32, and some engines compute in it
+_ROUNDED = 1e-5  # relative rounding of Σ |J| / m: contacts are recorded in float32, and some engines compute in float32
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +64,15 @@ class Step:
 
     step: int
     before_step: int  # the previous step; for another engine, the step of the previous exact state
-    time: float  # s, at its end
-    began: float  # s
+    time: float  # s, time at the end of the step
+    began: float  # s, time at the beginning of the step
     before: FloatArray  # (n, 3) m/s, velocities at the beginning of the step
     after: FloatArray  # (n, 3) m/s, velocities at the end of the step
     impulses: Records  # (k,) `IMPULSE`, in order
-    kicks: list[FloatArray]  # arrays (b, 3) in m/s, changes by forces of the velocities of the bodies in question
-    contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
-    by_field: FloatArray = field(default_factory=lambda: np.zeros(3))  # (3,) m/s, part of kicks by an engine's field
+    kicks: list[FloatArray]  # arrays (b, 3) in m/s: velocity changes, by forces, of the bodies in question
+    contacts: Records  # (m,) `CONTACT_ROW`, the contacts of the bodies in question
+    # (3,) m/s, part of the kicks that is due to an engine's uniform field
+    by_field: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(slots=True)
@@ -90,10 +92,10 @@ class History:
     ) -> History:
         """Run a recording again from a checkpoint up to the step that contains a time (s)."""
         scene = recorded_scene(recording)
-        audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # records the kicks of forces
+        audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # makes the run record the kicks by forces
         space = space_of(recording, scene.model_copy(update={"expect": audited}), begin, record_contacts=True)
         inverse_mass, entries = space.state.ends.inverse_mass.copy(), recording.entries
-        if entries is not None:  # before they enter, bodies count as moving with their velocities of entry
+        if entries is not None:  # before bodies enter, they count as moving with their velocities of entry
             n = len(space.mass)
             inverse_mass[:n] = np.divide(1.0, space.mass, out=np.zeros(n), where=~fixed_of(scene))
             begin = replace(begin, velocity=_with_entries(begin.velocity, space.frame().waits, entries))
@@ -138,7 +140,7 @@ def _drives(scene: Scene, space: Space) -> BoolArray:
 
 
 def _impulses(space: Space, touching: Records) -> Records:
-    """Return the impulses of the last step, and the contacts without an impulse at its end, which is one instant."""
+    """Return the impulses of the last step, and contacts without an impulse at its end; the end is one instant."""
     instant, time, parts = -1, -np.inf, list[Records]()
     for some in space.impulses():
         J = some.values[:, :1] * some.normal + some.values[:, 1:]
@@ -212,11 +214,12 @@ def recorded_history(recording: Recording, question: Question, start: float | No
     """Return the history of the frames up to the moment of a question, for a recording of another engine.
 
     A step lasts from one exact state to the next. An impulse is a contact's force times the time between frames. A kick
-    is the change of velocity beyond these impulses, by forces and by contacts that the engine does not report. A
-    contact is an impact while it closes or separates faster than these kicks explain; otherwise it holds.
+    is the change of velocity that these impulses do not explain: it is due to forces, and to contacts that the engine
+    does not report. A contact is an impact as long as it closes or separates faster than the kicks explain; otherwise
+    it holds.
 
-    The history begins with the last exact state before ``start`` (s). By default the history goes back `MOST_FRAMES`
-    frames, or fewer with many bodies.
+    The history begins with the last exact state before ``start`` (s). By default, the history goes back by
+    `MOST_FRAMES` frames, or by fewer if there are many bodies.
 
     Raises
     ------
@@ -256,7 +259,7 @@ def recorded_history(recording: Recording, question: Question, start: float | No
 
 
 def _steps(recording: Recording, question: Question, start: float | None) -> list[int]:
-    """Return the steps of the exact states from the beginning of the history to the moment, ascending."""
+    """Return the steps of the exact states from the beginning of the history to the moment, in order of time."""
     times = recording.checkpoint_times
     if not times:
         raise RecordingError(f"{recording.path} has no exact state: {recording.outcome}")
@@ -267,7 +270,7 @@ def _steps(recording: Recording, question: Question, start: float | None) -> lis
         if not recording.present(known[-1])[body]:
             moment = recording.units.text(question.time, TIME, ".9g")
             raise ExperimentError(f"{names_of(recording).of(body)} does not exist at t = {moment}")
-    if recording.lives is not None:  # an account begins when its body has entered
+    if recording.lives is not None:  # an account cannot begin before its body has entered
         came = max(int(recording.lives[body, 0]) for body in question.bodies)
         known = [step for step in known if step >= came]
     if start is None:
@@ -295,7 +298,8 @@ def _step(
     for end, sign in (("i", -1.0), ("j", 1.0)):
         np.add.at(given, rows[end], sign * inverse_mass[rows[end], None] * J)
         np.add.at(acted, rows[end], inverse_mass[rows[end]] * np.linalg.norm(J, axis=1))
-    # a new body starts with the part of its velocity that contacts do not explain; a body that goes keeps its velocity
+    # a new body starts with the part of its velocity that contacts do not explain; a body that leaves keeps its
+    # velocity
     began = np.where(np.isnan(before.velocity), after.velocity - given[:n], before.velocity)
     ended = np.where(np.isnan(after.velocity), began + given[:n], after.velocity)
     began, ended = np.nan_to_num(began), np.nan_to_num(ended)

@@ -1,4 +1,4 @@
-"""Answers why a body moves as it does, or why two bodies touch, by running a window before that moment again.
+"""Answers why a body moves as it does, or why two bodies touch: runs the window before that moment again.
 
 A recording of another engine is not run again; its recorded states and contact forces are read.
 """
@@ -34,13 +34,13 @@ class Answer:
     source: str  # origin of the numbers, in words
     accounts: list[Account]  # accounts of the bodies in question
     cone: Cone
-    chain: list[Link]  # the latest first
+    chain: list[Link]  # links of the chain of causes, the latest first
     engine: str = ""  # engine whose recorded contact forces the answer uses; empty for carom
-    knows_field: bool = False  # whether this engine has a uniform field, and recorded it
+    knows_field: bool = False  # whether that engine's recording states its uniform field
 
     @property
     def is_flow(self) -> bool:
-        """Whether contacts hold a body still or contributed more than impacts: the answer is then a flow of impulse."""
+        """Whether the answer is a flow of impulse: contacts hold a body still, or contributed more than impacts."""
         return any(a.rests or a.share_of("contact", "stop") > a.share_of("impact") for a in self.accounts)
 
     @property
@@ -54,14 +54,14 @@ class Answer:
 
     @property
     def bodies(self) -> IntArray:
-        """The bodies of the cone: apart from forces between bodies, only these could have had an effect."""
+        """The bodies of the cone: without forces between bodies, only these could have had an effect."""
         return np.flatnonzero(self.cone.reached)
 
     @property
     def closed(self) -> IntArray:
         """The cone and all bodies connected to it by contacts: nothing else could change the answer.
 
-        Without forces between bodies and with a fixed step, this holds bit for bit.
+        If bodies exert no forces on each other and the step is fixed, this holds bit for bit.
         """
         return np.flatnonzero(self.cone.closed())
 
@@ -72,14 +72,15 @@ class Answer:
 
     @property
     def first_cause(self) -> int:
-        """The body at the beginning of the chain, or the wall that moves on its own, with a number from n on."""
+        """The body at the beginning of the chain, or a wall that moves on its own (a number from n on)."""
         if not self.chain:
             return self.question.bodies[0]
         last = self.chain[-1]
         return last.body if last.turns else last.by
 
 
-MOST_BODY_STEPS = 100_000  # most body steps that are run again by default; about a second for 500 bodies in a pile
+# most body steps (bodies times steps) that are run again by default; about a second for 500 bodies in a pile
+MOST_BODY_STEPS = 100_000
 
 
 def why(
@@ -87,7 +88,7 @@ def why(
 ) -> Answer:
     """Answer a question about a window that begins at the last checkpoint before ``start`` (s).
 
-    By default, the window begins at the earliest checkpoint from which a replay is cheap, but at the latest at the last
+    By default, the window begins at the earliest checkpoint from which a replay is cheap, but no later than at the last
     checkpoint before the moment. ``watch`` receives the progress of the replay after every step.
 
     Raises
@@ -114,7 +115,7 @@ def why(
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
-    """Answer a question from windows, the latest first, which contains the moment. Masses are (n,) kg."""
+    """Answer a question from windows, the latest first; that one contains the moment. Masses are (n,) kg."""
     windows = iter(histories)
     back = _Backwards(question, next(windows), mass)
     for history in windows:
@@ -123,7 +124,7 @@ def answer_from(question: Question, histories: Iterable[History], mass: FloatArr
 
 
 def _histories(recording: Recording, question: Question, start: float | None, watch: Watcher) -> Iterator[History]:
-    """Run windows that begin at checkpoints again, the latest first, up to the moment of the question."""
+    """Run windows again, the latest first, each from a checkpoint, up to the moment of the question."""
     times, time = recording.checkpoint_times, question.time
     if not times:
         raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
@@ -175,7 +176,7 @@ class _Backwards:
         self._rest(history, step.step - history.steps[0].step)
 
     def go_on(self, history: History) -> None:
-        """Go back through the earlier window."""
+        """Go back through the next earlier window."""
         self._differs = history.differs if self._differs is None else self._differs
         self._rest(history, len(history.steps))
 
@@ -232,7 +233,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
         return last, last.impulses, last.kicks, last.impulses[:0]
     place = bisect_left(history.steps, question.time - tolerance(question.time), key=lambda step: step.time)
     near = history.steps[max(0, place - 1) : place + 2]
-    # the nearest impulse between the two ends; an impact precedes an equally near impulse
+    # the nearest impulse between the two ends; an impact is preferred to an equally near impulse
     found: list[tuple[float, bool, int, int]] = []
     for number, each in enumerate(near):
         rows = each.impulses
