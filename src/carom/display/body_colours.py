@@ -27,7 +27,7 @@ from carom.recording.timelines import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.recording.write.rows import Index, Rows
 
-_MOST = 30_000_000  # bodies times frames
+_MOST = 30_000_000  # most bodies times frames for which changing colours are computed
 _CONTACT_ENDS = "LineStrips3D:strips"
 _RECORDED = ("Ellipsoids3D:colors", "Points3D:colors")
 
@@ -37,7 +37,7 @@ class BodyColours:
     """The colours of all bodies that a recording shows, as its views draw them."""
 
     steps: IntArray  # (k,) steps of the frames at which colours may change; one frame if they are constant
-    times: FloatArray  # (k,) s, of these frames
+    times: FloatArray  # (k,) s, times of these frames
     colours: ColourArray  # (k, n) 0xRRGGBBAA
 
     @property
@@ -46,7 +46,7 @@ class BodyColours:
         return self.colours[0] if len(self.steps) == 1 else None
 
     def on(self, theme: str) -> BodyColours:
-        """Return the same colours for a background, "dark" or "light"."""
+        """Return these colours adapted to a background, "dark" or "light"."""
         shown = palette.legible(self.colours.ravel(), theme).reshape(self.colours.shape)
         return BodyColours(self.steps, self.times, shown)
 
@@ -55,7 +55,7 @@ class BodyColours:
         return BodyColours(self.steps, self.times, self.colours[:, list(places)])
 
     def rows(self, header: Header) -> Rows:
-        """Return rows that draw the bodies in these colours instead of the recorded ones."""
+        """Return rows that draw the bodies in these colours instead of the recorded colours."""
         flat, n = self.colours.ravel(), self.colours.shape[1]
         # static values of a component take precedence in Rerun, so these colours belong to another archetype
         archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
@@ -71,8 +71,8 @@ def change_with_time(header: Header, by: str) -> bool:
 def body_colours(recording: Recording, header: Header, by: str, step: ShownStep | None = None) -> BodyColours:
     """Return the colours of the bodies by a property.
 
-    If the recording was coloured by it, these are the recorded colours. Otherwise, they are computed for all frames,
-    and for the repeated steps of ``step``. Raises RecordingError if the recording lacks the data for them.
+    If the recording was coloured by this property, the recorded colours are returned. Otherwise, colours are computed
+    for all frames, and for the repeated steps of ``step``. Raises RecordingError if the recording lacks the data.
     """
     n = len(header.radius)
     own = by == header.coloured_by
@@ -121,7 +121,7 @@ def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> 
 
 
 def fixed_colours(recording: Recording) -> ColourArray:
-    """Return the colours (n,) of the bodies on a dark background, or of their groups if the bodies change colour."""
+    """Return the colours (n,) of the bodies on a dark background, or of their groups if bodies change colour."""
     header = header_of_recording(recording)
     if shape(header) == "mesh":
         return np.full(len(header.radius), palette.SKY, dtype=np.uint32)
@@ -139,7 +139,7 @@ def _constant(recording: Recording, colours: ColourArray) -> BodyColours:
 
 
 def _as_recorded(recording: Recording, places: Sequence[int]) -> Iterator[_Row]:
-    """Yield the colours that are in the file."""
+    """Yield the colours that the file holds."""
     n = len(recording.shown)
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     with reading(recording.path):
@@ -152,7 +152,7 @@ def _as_recorded(recording: Recording, places: Sequence[int]) -> Iterator[_Row]:
 
 
 def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[_Row]:
-    """Yield speeds from distances between frames; speeds of repeated steps are exact."""
+    """Yield colours by speed: speeds follow from distances between frames, or are exact in repeated steps."""
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
     if len(times) < 2:
@@ -172,7 +172,7 @@ def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iter
     colours_of = graph_colours if by == "graph" else drawing.island_colours
     drawn = drawn_paths(recording, range(n))
     steps, times = _times(recording, drawn.steps)
-    ends: dict[int, SingleArray] = {}  # of the drawn edges, (m, 2, 3), by step
+    ends: dict[int, SingleArray] = {}  # ends of the drawn edges, (m, 2, 3), by step
     entries = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.first_step is not None]
     for chunk in recording.chunks(entries):
         if _CONTACT_ENDS not in chunk.components:
@@ -192,7 +192,7 @@ def _times(recording: Recording, steps: IntArray) -> tuple[list[int], list[float
 
 
 def _pairs(ends: SingleArray | None, position: SingleArray) -> IntArray:
-    """Find the bodies that edges connect: the ends of an edge equal their centres bit by bit, or lie on a plane."""
+    """Find the bodies that edges connect: an end of an edge equals a centre bit by bit, or lies on a plane."""
     if ends is None or len(ends) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     n = len(position)

@@ -19,7 +19,7 @@ from carom.display.keeper import Door
 from carom.display.viewer import Viewer
 from carom.errors import RecordingError
 
-_HOST = "127.0.0.1"  # Rerun's own default is to listen on all interfaces, without a password
+_HOST = "127.0.0.1"  # address of the server; by default Rerun listens on all interfaces, without a password
 
 
 @contextlib.contextmanager
@@ -47,9 +47,9 @@ def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], 
     say
         Prints a line.
     alone
-        Whether no other viewer can reach the server, since this process is in a network namespace of its own.
+        Whether this process is in a network namespace of its own, so that no other viewer can reach the server.
     door
-        The port of the machine through which this user reaches the server of an isolated process without a screen.
+        For an isolated process without a screen: the port of the machine through which the user reaches the server.
 
     Raises
     ------

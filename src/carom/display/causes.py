@@ -1,11 +1,11 @@
 """Writes the causes of an event for the viewer: bodies, contacts as edges coloured by impulse, and a graph of both.
 
-These bodies keep their colours; all other bodies are faded. An edge stays at the position of its last impulse, so
-that it marks the place of an impact while the bodies move on.
+The bodies behind the event keep their colours; all other bodies are faded. An edge stays at the position of its last
+impulse, so that it marks the place of an impact while the bodies move on.
 
-The graph has bodies in rows, from the first cause down to the bodies in question, connected by impulses. Rerun's own
+The graph shows bodies in rows, from the first cause down to the bodies in question, connected by impulses. Rerun's own
 graphs (0.41) have edges without widths, colours or labels, and their labels overlap. The graph consists of lines and
-points in a 2D view. A unit of this view is a point of the screen in a window of the usual size. A label is centred
+points in a 2D view. A unit of this view is a point of the screen if the window has its usual size. A label is centred
 below its point.
 """
 
@@ -37,14 +37,14 @@ from carom.scene.units.dimension import IMPULSE
 
 GRAPH = "graph"
 _LINES, _MARKED, _LABELS = (f"{GRAPH}/{name}" for name in ("edges", "asked", "impulses"))
-MOST_NODES = 12  # more would not fit
+MOST_NODES = 12  # most nodes of the graph; more would not fit
 
-_NODE = 8.0  # points, radius
+_NODE = 8.0  # points, radius of a node
 _WIDEST = 4.0  # points, radius of the line of a large impulse
-_HEIGHT, _LETTER, _BORDER = 26.0, 7.0, 12.0  # points, of a label: height, mean width of a letter, both borders
+_HEIGHT, _LETTER, _BORDER = 26.0, 7.0, 12.0  # points: height of a label, mean width of a letter, width of both borders
 _GAP, _WIDE = 24.0, 180.0  # points: smallest gap between neighbouring labels; usual distance of neighbours
-_ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in the order in which they are tried
-MOST_EDGES = 200  # edges that are drawn: the ones with the largest shares
+_ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in the order of preference
+MOST_EDGES = 200  # most edges that are drawn: the edges with the largest shares
 _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
     *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
     "why",
@@ -55,8 +55,8 @@ _FADED = 0x232A35FF
 _SHOWN = 0.01  # share from which a body or an edge is shown
 _LEAST = 0.003  # smallest share of an edge that is drawn
 _WIDTHS = np.linspace(0.8, 5.0, drawing.LEVELS)  # screen points, widths of edges by impulse
-_HALO = 1.25  # scale of the wires around the bodies in question
-_SHARES = (3, 2)  # heights of the graph and of the text
+_HALO = 1.25  # size of the wires around the bodies in question, relative to the bodies
+_SHARES = (3, 2)  # relative heights of the graph and of the text
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,14 +67,14 @@ class GraphEdge:
     j: int
     text: str
     colour: int  # 0xRRGGBBAA
-    width: float  # of the widest
+    width: float  # width, relative to the widest edge
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
     """A label or a node on the screen (points)."""
 
-    x: float  # of its middle
+    x: float  # coordinate of the middle
     y: float
     width: float
     height: float
@@ -94,12 +94,12 @@ class Box:
 class CauseGraph:
     """The nodes and edges of a graph."""
 
-    names: Sequence[str]  # of the nodes
-    colours: Sequence[int]  # of the nodes
-    asked: int  # number of the leading nodes that are in question
-    edges: Sequence[GraphEdge]  # the largest shares first
+    names: Sequence[str]  # names of the nodes
+    colours: Sequence[int]  # colours of the nodes
+    asked: int  # number of nodes in question, which come first
+    edges: Sequence[GraphEdge]  # edges, the largest shares first
     area: Area
-    heading: str = "Impulses"  # the quantity in the labels of edges, with its unit
+    heading: str = "Impulses"  # quantity that the labels of edges show, with its unit
 
     def view(self) -> rrb.Spatial2DView:
         """Lay out the graph."""
@@ -145,7 +145,8 @@ class CauseGraph:
         pitch = (self.area.height - top - 2 * _NODE - _HEIGHT) / max(1, len(rows) - 1)
         place = np.zeros((len(self.names), 2))
         for number, row in enumerate(rows):
-            shift = 0.25 * column * (-1) ** number if len(rows) > 1 else 0.0  # so that no edge crosses a label
+            # shifts columns, so that no edge crosses a label
+            shift = 0.25 * column * (-1) ** number if len(rows) > 1 else 0.0
             x = self.area.width / 2 + shift + column * (np.arange(len(row)) - (len(row) - 1) / 2)
             place[row, 0] = x
             place[row, 1] = top + pitch * (len(rows) - 1 - number if len(rows) > 1 else 0.5)
@@ -163,7 +164,7 @@ class CauseGraph:
             yield sorted(left)
 
     def labels(self, place: FloatArray) -> Mapping[int, Box]:
-        """Return the boxes of the labels of edges; an edge whose label would overlap another has none."""
+        """Return the boxes of the labels of edges; an edge whose label would overlap another label gets none."""
         taken = [Box(x, y, 2 * _NODE, 2 * _NODE) for x, y in place.tolist()]
         taken += self.names_on_screen(place)
         found: dict[int, Box] = {}
@@ -188,10 +189,10 @@ class CauseEdge:
 
     i: int
     j: int
-    first: float  # s
+    first: float  # s, time of the first impulse
     share: float
     impulse: float = 0.0  # N s, sum of the magnitudes
-    last: float = np.inf  # s
+    last: float = np.inf  # s, time of the last impulse
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +205,7 @@ class Causes:
     end: float  # s
     asked: Sequence[int]
     share: FloatArray  # (n,) fraction of the effect that each body causes
-    edges: Sequence[CauseEdge]  # between bodies, the largest shares first
+    edges: Sequence[CauseEdge]  # edges between bodies, the largest shares first
 
 
 def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
@@ -295,7 +296,7 @@ def _levels(edges: Sequence[CauseEdge]) -> IntArray:
 def _edges(
     writer: Writer, index: list[rr.TimeColumn], edges: Sequence[CauseEdge], times: FloatArray, position: SingleArray
 ) -> None:
-    """Draw each edge from its first impulse on and, after its last impulse, at the position of that impulse."""
+    """Draw each edge from its first impulse on; after its last impulse, it stays at the position of that impulse."""
     levels = _levels(edges)
     until = np.minimum(np.searchsorted(times, [edge.last for edge in edges]), len(times) - 1)
     strips: list[SingleArray] = []
@@ -306,9 +307,9 @@ def _edges(
         drawn = [k for k, edge in enumerate(edges) if edge.first <= time]
         strips += [position[min(row, until[k]), [edges[k].i, edges[k].j]] for k in drawn]
         colours += [int(drawing.COLOURS[levels[k]]) for k in drawn]
-        widths += [-float(_WIDTHS[levels[k]]) for k in drawn]  # negative: points of the screen
+        widths += [-float(_WIDTHS[levels[k]]) for k in drawn]  # a negative width is in points of the screen
         each.append(len(drawn))
-    shades = np.array(colours, dtype=np.uint32)  # a list of three numbers could be read as one colour
+    shades = np.array(colours, dtype=np.uint32)  # an array, since a list of three numbers could be read as one colour
     columns = rr.LineStrips3D.columns(strips=strips, colors=shades, radii=widths)
     writer.send_columns(_EDGES, index, columns.partition(each))
 
