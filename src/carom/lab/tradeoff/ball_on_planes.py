@@ -65,7 +65,7 @@ def why_no_ball(scene: Scene) -> str:
 
 
 def solve_ball(scene: Scene, start: InitialBodies, times: FloatArray, *, nudge: int = 0) -> BallSolution:
-    """Solve a scene with one ball at times (K,) in s; a ``nudge`` of 1 or -1 starts displaced by rounding."""
+    """Solve a scene with one ball at times (K,) in s; a ``nudge`` of 1 or -1 displaces the start by rounding."""
     return _Ball(scene, start, times, nudge).run()
 
 
@@ -79,7 +79,7 @@ def _grown(s: float, rate: float) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class _Path:
-    """Position and velocity after s seconds with the acceleration a - k (v - v₀); also of a single coordinate."""
+    """Position and velocity after s seconds with the acceleration a - k (v - v₀); also for a single coordinate."""
 
     x: FloatArray
     v: FloatArray

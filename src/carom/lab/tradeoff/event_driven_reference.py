@@ -355,7 +355,7 @@ class _Solver:
         return longest
 
     def _pressed(self, before: FloatArray, after: FloatArray) -> int | None:
-        """Return a pair that touches before a step and closes at its end by more than the step's error, or None."""
+        """Return a pair that touches before a step and closes at its end faster than the step's error, or None."""
         for pair in np.flatnonzero((self._gaps(before) <= self._near) & (self._gaps(after) <= 0.0)):
             if self._closing(after, int(pair)) < -self._rate_noise(after, int(pair), self._tolerance):
                 return int(pair)

@@ -307,7 +307,7 @@ def scale_of(scene: Scene, trajectory: Trajectory) -> ErrorScale:
 
 
 def _ball(scene: Scene, tell: Teller) -> tuple[Reference | None, str]:
-    """Return the exact reference of a ball and planes, with checks displaced by rounding; or the reason for none."""
+    """Return the exact reference of a ball and planes, with checks displaced by rounding; or why there is none."""
     times, start = sample_times(scene), place(scene)
     tell("reference: exact, closed forms of a ball on planes")
     best = solve_ball(scene, start, times)

@@ -75,7 +75,7 @@ class Pile:
         )
 
     def errors(self, run: Trajectory, reference: Trajectory) -> dict[str, float]:
-        """Return the differences of the settled states: relative, in contacts per body, or in s."""
+        """Return the differences of the settled states: relative ones, in contacts per body, and in s."""
         if len(run) < len(reference):
             return {}
         found, exact = self.settled(run), self.settled(reference)

@@ -45,7 +45,7 @@ class Cause:
         return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, adjoins: bool) -> bool:
-        """Return whether this contact continues an earlier contact; ``adjoins``: a contact of the previous step."""
+        """Return whether this contact continues an earlier contact; ``adjoins``: one in the previous step."""
         goes_on = self.holds or (self.lasts and earlier.lasts)
         return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 
@@ -103,7 +103,7 @@ class Account:
 
     @property
     def rests(self) -> bool:
-        """Whether contacts hold the body still: its speed is below a thousandth of their impulses over its mass."""
+        """Whether contacts hold the body still: its speed is below a thousandth of Σ |J| / m."""
         return bool(np.linalg.norm(self.velocity) <= _AT_REST * (self._bearing or -1.0))
 
     @property

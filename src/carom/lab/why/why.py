@@ -45,7 +45,7 @@ class Answer:
 
     @property
     def kind(self) -> str:
-        """The main cause: "flow", "impacts", "forces", moving "walls", or "start", the velocities at the beginning."""
+        """The main cause: "flow", "impacts", "forces", moving "walls", or "start": the initial velocities."""
         if self.is_flow or any(not link.turns for link in self.chain):
             return "flow" if self.is_flow else "impacts"
         cone = self.cone
