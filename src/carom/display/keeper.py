@@ -1,11 +1,11 @@
 """Restricts Rerun's viewer to its user, and ends it together with carom.
 
-The viewer is controlled through a port without a password: anybody who connects can read and write files as its user.
-This program, which `Viewer` starts, therefore puts the viewer into a network namespace of its own, where nobody can
-connect, and forwards connections of the same user to it. A connection must begin like HTTP/2, as connections of Rerun's
-SDK do. A web page in the user's browser sends HTTP/1.1, and could otherwise use the port under a name that it makes
-point there. Where the system grants no namespace (other systems than Linux, most containers, Ubuntu's restriction of
-user namespaces) the port is open to all users of the machine, and to such pages, while the viewer runs.
+The viewer is controlled through a port without a password: anybody who connects can read and write files as the
+viewer's user. This program, which `Viewer` starts, therefore puts the viewer into a network namespace of its own, where
+nobody can connect, and forwards connections of the same user to it. A connection must begin like HTTP/2, as connections
+of Rerun's SDK do. A web page in the user's browser sends HTTP/1.1, and could otherwise use the port through a name that
+it lets point to 127.0.0.1. Where the system grants no namespace (other systems than Linux, most containers, Ubuntu's
+restriction of user namespaces) the port is open to all users of the machine, and to such pages, while the viewer runs.
 
 The program ends the viewer and deletes its temporary folder when the process that started it has ended, even by
 ``kill -9``. It uses the standard library alone and starts within milliseconds.
@@ -30,17 +30,18 @@ from collections.abc import Sequence
 from io import FileIO
 from pathlib import Path
 
-HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
-SHARED = "shared"  # in the namespace of the machine, for viewers that must reach a server or an X display there
+HOST = "127.0.0.1"  # address of the viewer, which by default listens on all interfaces
+SHARED = "shared"  # the viewer stays in the namespace of the machine, to reach a server or an X display
 LIVE = "live"  # the viewer may outlive the run that it shows
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-_START = 60.0  # s
+_START = 60.0  # s, time limit for the start of the viewer
 _GRACE = 5.0  # s between requesting the end of a process and killing it
-_POLL = 0.2  # s
-_PORT = 9876  # in a namespace of its own
+_POLL = 0.2  # s, interval of checks
+_PORT = 9876  # port of the viewer in a namespace of its own
 _PIECE = 1 << 20  # bytes, largest read of a forwarded connection
-_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"  # begins a connection (RFC 9113, 3.4); no browser sends it in plain text
-_TABLE = "/proc/net/tcp"  # Linux: sockets, with their owners
+# first bytes of a connection (RFC 9113, 3.4); no browser sends these in plain text
+_PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+_TABLE = "/proc/net/tcp"  # Linux's table of sockets with their owners
 _LISTENS, _ESTABLISHED = "0A", "01"
 _NEW_USER, _NEW_NET = 0x10000000, 0x40000000  # flags of unshare(2)
 _SET_FLAGS, _UP = 0x8914, 0x1  # SIOCSIFFLAGS, IFF_UP
@@ -52,8 +53,8 @@ Address = tuple[str, int]
 def is_ours(local: Address, remote: Address = ("0.0.0.0", 0), table: FileIO | None = None) -> bool:
     """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
 
-    A connection that its owner has closed belongs to nobody. Without the table of sockets, no connection is accepted as
-    this user's. A process that has left the machine's network namespace passes the machine's table.
+    A connection that its owner has closed belongs to nobody. Without the table of sockets, no connection counts as this
+    user's. A process that has left the machine's network namespace passes the machine's table.
     """
     try:
         if table is None:
@@ -90,9 +91,9 @@ def isolate() -> bool:
     """
     if sys.platform != "linux" or len(list(Path("/proc/self/task").iterdir())) != 1:
         return False
-    # Root keeps its rights over other users' files only without a user namespace.
+    # Root keeps its rights over other users' files only if there is no user namespace.
     for flags in (_NEW_NET, _NEW_USER | _NEW_NET) if os.geteuid() == 0 else (_NEW_USER | _NEW_NET,):
-        trial = os.fork()  # in a child, since a part may succeed and cannot be undone
+        trial = os.fork()  # tried in a child, since a part of it may succeed and cannot be undone
         if trial == 0:
             os._exit(0 if _unshare(flags) else 1)
         if os.waitpid(trial, 0)[1] == 0:
@@ -124,10 +125,10 @@ def free_port() -> int:
 
 
 class Door:
-    """A port of the machine through which this process's user, and nobody else, reaches a port in the namespace."""
+    """A port of the machine through which only the user of this process reaches a port in the namespace."""
 
     def __init__(self) -> None:
-        self._table: FileIO | None = None  # of the machine, not of the namespace
+        self._table: FileIO | None = None  # table of the machine, not of the namespace
         with contextlib.suppress(OSError):
             self._table = Path(_TABLE).open("rb", buffering=0)  # noqa: SIM115  read again for every connection
         self._listener = socket.create_server((HOST, 0))
@@ -149,7 +150,7 @@ class Door:
             connection.close()
             return
         connection.settimeout(None)
-        with contextlib.suppress(RuntimeError):  # no thread can be started
+        with contextlib.suppress(RuntimeError):  # raised if no thread can be started
             threading.Thread(target=_forward_calls, args=(connection, port), daemon=True).start()
 
 
@@ -221,7 +222,7 @@ def _die_with_parent() -> None:
 
 
 def _start_screen(children: _Children, size: str, folder: Path, environment: dict[str, str]) -> dict[str, str]:
-    """Start Xvfb; return the environment of its clients. They need a cookie, so that nobody else can connect."""
+    """Start Xvfb; return the environment of its clients. Clients need a cookie, so that nobody else can connect."""
     cookie, name = secrets.token_bytes(16), b"MIT-MAGIC-COOKIE-1"
     authority = folder / "authority"
     any_display = struct.pack(">HHH", 0xFFFF, 0, 0)
@@ -251,11 +252,11 @@ def _wait_for(children: _Children, port: int) -> None:
 
 
 def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen: str, command: Sequence[str]) -> int:
-    """Run a viewer until it or the parent process ends; return the viewer's exit status.
+    """Run a viewer until the viewer or the parent process ends; return the viewer's exit status.
 
     Once the viewer listens, its port is written to the descriptor ``report``. ``folder`` is its temporary folder,
-    ``options`` are of `SHARED` and `LIVE`, ``screen`` is WIDTHxHEIGHT of a virtual screen to run it on, or empty, and
-    ``command`` starts the viewer, without its port.
+    ``options`` may contain `SHARED` and `LIVE`, ``screen`` is the WIDTHxHEIGHT of a virtual screen for the viewer, or
+    empty, and ``command`` starts the viewer, without its port.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     door, port, environment = Door(), _PORT, os.environ | {"TMPDIR": str(folder)}

@@ -18,7 +18,7 @@ _DRAWN = re.compile(
     r"\u2605-\u2606]*"
 )
 
-_BORDERS = 12.0  # points, by which a label is wider than its text
+_BORDERS = 12.0  # points by which a label is wider than its text
 _LETTERS = {
     3.1: "ijlI.,:;'·",
     3.4: " \u00a0",
@@ -30,10 +30,10 @@ _LETTERS = {
 _LETTERS |= {9.3: "CDGHNOQUωw%", 11.6: "mMW—→■½"}
 _WIDTHS = {letter: width for width, letters in _LETTERS.items() for letter in letters}  # points, measured in a picture
 _MEAN = 7.5  # points, width of other letters
-_HEIGHT = 25.0  # points, of a label with its margin
-_BELOW = 32.0  # points, from the place of a label to its lower edge
+_HEIGHT = 25.0  # points, height of a label with its margin
+_BELOW = 32.0  # points from the place of a label to its lower edge
 _KEPT_SPACE, _KEPT_WIDTH = "\u00a0", 3.4  # a space that is kept, and its width
-_END = "\u00ad"  # nothing to be seen; the viewer cuts spaces at the end of a label
+_END = "\u00ad"  # an invisible character, since the viewer cuts spaces at the end of a label
 
 
 def drawable(text: str) -> bool:
@@ -47,7 +47,7 @@ def label_width(text: str) -> float:
 
 
 def padded(text: str, width: float) -> str:
-    """Return a text whose label has this width (points), if it is not wider already."""
+    """Return a text whose label has this width (points), unless the label is already wider."""
     return text + int((width - label_width(text)) / _KEPT_WIDTH) * _KEPT_SPACE + _END
 
 
@@ -55,11 +55,11 @@ _Placed = tuple[float, float, float]  # half width of a label, and its place, in
 
 
 def beyond(tips: FloatArray, ways: FloatArray, texts: Sequence[str], eye: View, area: Area) -> FloatArray:
-    """Move labels from the tips of arrows, (k, 3) m, on in their directions, so that they do not cover the arrows."""
+    """Move labels from the tips of arrows, (k, 3) m, onwards along the arrows, so that labels do not cover arrows."""
     across = ways @ eye.axes().T
     across /= np.linalg.norm(across, axis=1, keepdims=True).clip(np.finfo(float).tiny)
     wide = np.array([0.5 * label_width(text) for text in texts])
-    # a label is below its place: one that goes up needs its height more
+    # a label is below its place, so a label that moves up must move farther by its height
     points = np.stack([wide * across[:, 0], np.where(across[:, 1] > 0.0, _BELOW, 0.0) * across[:, 1]], axis=1)
     return np.asarray(tips + points * eye.height() / area.height @ eye.axes())
 
@@ -79,5 +79,6 @@ def apart(places: FloatArray, texts: Sequence[str], eye: View, area: Area) -> Fl
         y = next(free, y)
         drawn.append((wide, x, y))
         moved[k] = x, y
-    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)  # half heights, at each label's depth
+    # metres per half height of the view, at each label's depth
+    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)
     return np.asarray(places + metres[:, None] * ((moved - onto) @ eye.axes()))

@@ -1,8 +1,8 @@
 """The margins of a view: the legend in a free corner, axes that show the scale, and the arrow of a field.
 
 `margins` places them for a window, a picture, and a movie, in one order: the camera makes room for the legend, the
-legend stands where it covers no body, and axes and arrow stand beside it. Where the camera of a movie moves, they move
-with it.
+legend stands where it covers no body, and axes and arrow stand beside it. If the camera of a movie moves, legend, axes
+and arrow move with it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Margins:
 
     view: View
     area: Area
-    added: Additions  # with the room for the legend
+    added: Additions  # additions, with the room for the legend
     statics: Sequence[Static]
     rows: Sequence[Rows]
 
@@ -69,7 +69,8 @@ def margins(
         placed = words.beside(legend_area(canvas))
     statics, rows = list(placed.statics), list(placed.rows)
     has_margins = only in (ALL, BODIES, GRAPH)
-    if has_margins and (canvas.rendered or view.motion is CameraMotion.STILL):  # no view moves with the eye of a window
+    # nothing can move with the eye of a window
+    if has_margins and (canvas.rendered or view.motion is CameraMotion.STILL):
         statics += axes_and_field(header.units, view, area, field, drawn, radius, corner)
         added = replace(added, axes=True)
     if path and has_margins and only != ALL:

@@ -1,4 +1,4 @@
-"""Arrows that show which way walls, planes and sheared boxes move: a still picture does not show it."""
+"""Arrows that show which way walls, planes and sheared boxes move: a still picture does not show motion."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING
 from carom.scene.wall_shapes import across, shape_called
 
-_LENGTH = 0.13  # of an arrow, in heights of the view
+_LENGTH = 0.13  # length of an arrow, in heights of the view
 _THICK = 0.009  # radius of an arrow, in heights of the view
 _BESIDE = 0.55  # place of a plane's arrow left of the middle, in half widths of the view
-_OUTSIDE = 1.06  # radius of the arc around a wall that rotates, in radii of the wall; and of the arrows of a box
+_OUTSIDE = 1.06  # radius of the arc around a rotating wall, in radii of the wall; also for the arrows of a box
 _ARC = np.linspace(-0.45, 0.45, 25)  # rad, from its beginning to its end, about the highest point
-_HEAD = 6  # points of the arc that are the arrow at its end
+_HEAD = 6  # number of points of the arc that its final arrow replaces
 
 _Arrow = tuple[FloatArray, FloatArray]  # origin and vector, (3,) m
 
 
 def motion_marks(header: Header, origin: FloatArray, view: View, area: Area, time: float) -> Iterator[Static]:
-    """Yield an arrow for each plane and wall that translates, an arc for each that rotates, and two for a sheared box.
+    """Yield an arrow for each translating plane and wall, an arc for each rotating wall, two arrows for a sheared box.
 
-    Oscillations have an arrow both ways. ``origin`` is (3,) m, that of the recording, and ``time`` (s) the moment.
+    An oscillation has an arrow both ways. ``origin``, (3,) m, is the origin of the recording, and ``time`` (s) is the
+    moment.
     """
     length = _LENGTH * view.height()
     arrows, arcs = [*_of_planes(header, origin, view, area, time), *_of_shear(header, origin, view)], list[FloatArray]()
@@ -78,7 +79,7 @@ def _of_planes(header: Header, origin: FloatArray, view: View, area: Area, time:
     right, _ = view.axes()
     for k, (normal, offset) in enumerate(zip(header.planes.normal, header.planes.offset, strict=True)):
         motion = header.motions.get(f"{MOVING}/plane-{k}")
-        if motion is None or not motion.translates:  # as a piston, which bodies move
+        if motion is None or not motion.translates:  # for instance a piston, which bodies move
             continue
         shift = motion.displacement(time, normal)
         aside = -right + (right @ normal) * normal

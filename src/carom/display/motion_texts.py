@@ -1,4 +1,4 @@
-"""Sentences about what moves in a scene besides its bodies: a still picture does not show it."""
+"""Sentences about what moves in a scene besides its bodies: a still picture does not show motion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def motion_texts(header: Header) -> Iterator[str]:
 
 
 def _axis_of(header: Header, path: str) -> str:
-    """Say about which direction a wall turns, right-handed; nothing if its shape is not known."""
+    """Say about which direction a wall turns, right-handed; empty if the wall's shape is not known."""
     number = int(path.rpartition("-")[2])
     if f"{MOVING}/wall-{number}" != path or header.shapes is None or number >= len(header.shapes):
         return ""

@@ -45,15 +45,15 @@ from carom.scene.units.dimension import TIME
 FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
-_FRAMES_EACH = 20  # pictures that justify another viewer, whose start takes seconds
+_FRAMES_EACH = 20  # number of pictures that justify another viewer, whose start takes seconds
 _LOOKS = 50  # frames among which a legend finds a free corner
-_PICTURES_EACH = 4  # at least, for each impact around which a movie is slow
-_SLOW_EACH, _MOST_SLOW = 0.05, 0.5  # of a movie, at most, around each impact and around all
-_AROUND = 0.02  # of the shown time, at most, before and after an impact
-_PACE = 4  # pictures before and after a picture, from which its pace is measured
-_SLOW = 2.0  # times slower than the fastest part of a movie, from which on its clock says so
-_MOST_DIGITS = 9  # after the point
-_LIMIT = 60.0  # s, in which a picture must settle
+_PICTURES_EACH = 4  # fewest pictures for each impact around which a movie is slow
+_SLOW_EACH, _MOST_SLOW = 0.05, 0.5  # largest fractions of a movie, around each impact and around all impacts
+_AROUND = 0.02  # largest fraction of the shown time that is slow before and after an impact
+_PACE = 4  # number of pictures before and after a picture from which its pace is measured
+_SLOW = 2.0  # the clock says how slow a part of a movie is if it is this many times slower than the fastest part
+_MOST_DIGITS = 9  # most digits after the point
+_LIMIT = 60.0  # s, time limit for a picture to settle
 
 
 def frame_times(
@@ -89,7 +89,7 @@ def frame_times(
 
 
 def _hardest(recording: Recording, start: float, end: float, most: int) -> FloatArray:
-    """Return the instants (s) between start and end at which the hardest recorded impacts are, at most ``most``."""
+    """Return the instants (s) of the ``most`` hardest recorded impacts between start and end."""
     if not header_of_recording(recording).records_contacts:
         return np.zeros(0)
     table = recording.impacts(start, end)
@@ -102,9 +102,9 @@ def _hardest(recording: Recording, start: float, end: float, most: int) -> Float
 
 
 def _around(impacts: FloatArray, start: float, end: float, share: FloatArray) -> FloatArray:
-    """Return the times (s) that are shown when these fractions of a movie are over, slowly around ``impacts`` (s).
+    """Return the times (s) shown after fractions ``share`` of a movie, which is slow around ``impacts`` (s).
 
-    A part of the movie is spread evenly over time, the rest over an interval around each impact, which ends halfway
+    A part of the movie covers the time evenly. The rest covers an interval around each impact; intervals end halfway
     between two impacts.
     """
     borders = np.concatenate([[start], impacts, [end]])
@@ -118,7 +118,7 @@ def _around(impacts: FloatArray, start: float, end: float, share: FloatArray) ->
 
 
 def clock_of(recording: Recording, times: FloatArray) -> MovieClock:
-    """Return what the clock of a movie says whose pictures show these times (s): the time, and how slow it passes."""
+    """Return the texts of a movie's clock, given the times (s) of its pictures: the time, and how slowly it passes."""
     shown, first = np.unique(times, return_index=True)
     units = recording.units
     apart = units.shown(float(np.diff(shown).min(initial=np.ptp(shown))), TIME) or 1.0
@@ -146,7 +146,7 @@ def pictures(
 ) -> Iterator[bytes]:
     """Return a PNG for each time, in order; they are rendered as they are requested.
 
-    Each is rendered by a viewer that has settled: two successive pictures are equal, byte for byte. Several viewers
+    Each picture comes from a viewer that has settled: two successive pictures are equal, byte for byte. Several viewers
     share the work, because each uses one core.
 
     Parameters
@@ -156,7 +156,7 @@ def pictures(
     size
         Width and height in pixels.
     view
-        The view that fills the picture, or all of them.
+        The view that fills the picture, or all views.
     event, bodies
         What a close-up follows, as in `Request`; by default the bodies of the hardest impact.
     camera
@@ -214,7 +214,7 @@ class _Studio:
         self._view: str | None = None
         self._started = False
         self._thread = stack.enter_context(ThreadPoolExecutor(1))
-        # at the end, the viewer is closed first, so that a thread that waits for a picture fails at once
+        # at the end, the viewer is closed first, so that a thread waiting for a picture fails at once
         self._viewer: Viewer = stack.enter_context(headless(recording, window_of(size, self._whole), theme))
         stack.callback(self._thread.shutdown, wait=False, cancel_futures=True)
 
@@ -321,5 +321,5 @@ def _layout(
 
 
 def _extent(position: FloatArray) -> float:
-    """Return the median distance (m) from the middle, which a few distant bodies do not change."""
+    """Return the median distance (m) from the middle; a few distant bodies do not change the median."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))

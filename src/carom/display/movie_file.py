@@ -15,9 +15,9 @@ from PIL import Image
 from carom.errors import RecordingError
 from carom.recording.write.whole_file import whole_file
 
-# thin lines on a dark background remain legible
+# with these options, thin lines on a dark background remain legible
 _QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")
-_HUNDREDTHS = 100  # of a second: the unit of time of a GIF
+_HUNDREDTHS = 100  # hundredths in a second: the unit of time of a GIF
 
 
 def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[int, int], fps: float) -> None:
@@ -29,7 +29,7 @@ def write_movie(path: Path, pictures: Iterable[bytes], count: int, size: tuple[i
     try:
         with whole_file(path) as part:
             if path.suffix == ".gif":
-                few = (  # each picture has its own palette
+                few = (  # a GIF has a palette for each picture
                     image.quantize(colors=256, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
                     for image in map(_pixels, pictures)
                 )
@@ -69,7 +69,7 @@ def _encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable
         fps=fps,
         codec="libx264",
         quality=None,
-        macro_block_size=2,  # of yuv420p; the default, 16, would scale the pictures
+        macro_block_size=2,  # block size of yuv420p; the default, 16, would scale the pictures
         output_params=list(_QUALITY),
         ffmpeg_log_level="error",
     )

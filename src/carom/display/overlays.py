@@ -1,6 +1,6 @@
 """Writes several runs into one recording: two for comparison, trajectories over a reference, or branches of a run.
 
-Perturbed branches diverge: bodies are shaded by their spread, and a band shows the distances.
+Perturbed branches diverge: bodies are shaded by their spread between branches, and a band shows the distances.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import literal
 
-BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
+BESIDE = WINDOW.area(3 / 5)  # area of the bodies beside panels
 
 
 def send_beside_bodies(
@@ -90,7 +90,7 @@ def begin(
 
 
 def send_times(writer: Writer, index: list[rr.TimeColumn], times: Sequence[float] | FloatArray) -> None:
-    """Write the times (s) of frames; without fingerprints, since the frames show several runs."""
+    """Write the times (s) of frames, without fingerprints, since the frames show several runs."""
     fingerprints = pa.array([0] * len(times), pa.uint64())
     columns = rr.AnyValues.columns(True, time=pa.array(times), fingerprint=fingerprints)
     writer.send_columns(paths.FINGERPRINT, index, columns)
@@ -103,9 +103,9 @@ _SERIES = {
     "rms": ("difference/rms", "rms distance", LENGTH, palette.LINES["red"]),
     "energy": ("difference/energy", "energy difference", ENERGY, palette.LINES["blue"]),
 }
-_LARGEST = 100_000_000  # bytes of positions; of a longer recording, every k-th frame is shown
-_BATCH = 4_000_000  # bytes
-_SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
+_LARGEST = 100_000_000  # most bytes of positions; if a recording has more, every k-th frame is shown
+_BATCH = 4_000_000  # bytes of a batch
+_SEEN = 0.02  # shortest line, in median radii: shorter lines are hidden inside the spheres
 _HALO = 1.04  # scale of B's spheres: at equal size, A's spheres would hide them
 
 
@@ -129,7 +129,7 @@ def write_overlay(
     text: str,
 ) -> None:
     """Write both recordings into one; ``pairs`` yields ``count`` pairs of frames, each with a value of ``series``."""
-    radius = a.bodies.radius[a.shown][: len(b.shown)]  # some bodies may come in one run only
+    radius = a.bodies.radius[a.shown][: len(b.shown)]  # some bodies may enter in one run only
     names, origin = list(a.bodies.name[: len(radius)]), a.origin
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
     shown = islice(pairs, 0, None, every)
@@ -232,10 +232,10 @@ def _panels(units: UnitSystem) -> rrb.Vertical:
 
 TRADEOFF_PROPERTY = "tradeoff"
 
-PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, in the colours of the runs
+PATHS_UP_TO = 20  # most bodies with paths; with more bodies, only positions are drawn, in the colours of the runs
 _ROWS = (3, 2)  # heights of the bodies and of the curves below them
 _COLUMNS = (2, 3)  # widths of the bodies and of the curves beside them
-SMALLEST = 1e-17  # shown instead of distance 0 on a logarithmic scale
+SMALLEST = 1e-17  # value that replaces the distance 0 on a logarithmic scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +244,7 @@ class ComparedTrajectory:
 
     name: str
     position: FloatArray  # (K, n, 3) m
-    distance: FloatArray  # (K',) relative to the size of the system; K' ≤ K, as far as the reference extends
+    distance: FloatArray  # (K',) distance relative to the size of the system; K' ≤ K, as far as the reference extends
     family: str = ""  # the engine that made the run; runs of one engine share a colour
 
 
@@ -258,12 +258,12 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
     time
         (K,) s.
     trajectories
-        The reference first, which is drawn in grey. Each other family has a colour, and so has each run without a
-        family. Of runs that share a colour, the first has a wide curve. A few bodies are filled with their own colours,
-        and have wires and paths in the colour of the run.
+        The reference first, which is drawn in grey. Each other family has a colour, and so does each run without a
+        family. Among runs that share a colour, the first has a wide curve. A few bodies are filled with their own
+        colours, and have wires and paths in the colour of the run.
     """
     title, radius = space.scene.title, space.state.radius
-    bodies = None  # colours of few bodies: of materials, or of groups
+    bodies = None  # colours of few bodies: by material or by group
     if len(radius) <= PATHS_UP_TO:
         materials = ShownMaterials.of(space.scene)
         bodies = materials.body_colours() if materials and materials.has_colours else palette.body_colours(space.groups)
@@ -295,7 +295,7 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         index = time_columns(clock, list(range(1, len(time) + 1)), time.tolist())
         send_times(writer, index, time)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
-        # all positions are in view, above the curves and beside them
+        # the camera shows all positions, both above the curves and beside them
         position = trajectories[0].position - origin
         camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
         camera.look(position)
@@ -386,9 +386,9 @@ _CHANCE = (
     ("outcome/probability", "probability", palette.LINES["red"]),
     ("outcome/high", "95 %, to", palette.LINES["grey"]),
 )
-# ranges of spread over radius, a factor of ten each, from known to unknown
+# shades for ranges of the ratio of spread to radius, a factor of ten each, from known to unknown
 _SHADES = np.array([0x56B4E9FF, 0x7FC8E8FF, 0xA9DCE5FF, 0xF0E442FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)
-_SURE = 1e-5  # spread over radius at which the first shade ends
+_SURE = 1e-5  # ratio of spread to radius at which the first shade ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,8 +399,8 @@ class Forecast:
     text: str  # Markdown
     time: FloatArray  # (k,) s
     position: FloatArray  # (k, n, 3) m
-    spread: FloatArray  # (k, n) m
-    band: FloatArray  # (3, k) m: 5 %, median and 95 %
+    spread: FloatArray  # (k, n) m, spread of each body
+    band: FloatArray  # (3, k) m, distances: percentile 5, median and percentile 95
     chances: FloatArray  # (c, 4) times of forks (s), and the probability of the outcome: low, measured, high
 
 

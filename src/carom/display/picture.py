@@ -31,8 +31,8 @@ from carom.recording.write.whole_file import whole_file
 def has_all_glyphs(recording: Recording) -> bool:
     """Return whether the font has all characters of the names that a picture shows.
 
-    These are the names of bodies and planes, in labels and events, and the name of the file; for an overlay, of its
-    files.
+    These are the names of bodies and planes, in labels and events, and the name of the file; for an overlay, the names
+    of its files.
     """
     if not drawable(recording.path.name):
         return False
@@ -42,14 +42,14 @@ def has_all_glyphs(recording: Recording) -> bool:
     return all(map(drawable, (*names.bodies, *names.planes)))
 
 
-_ALIKE = 3  # successive equal pictures, after which everything is loaded
-_PAUSE = 0.7  # s, between two pictures
-_LIMIT = 120.0  # s
-_NOTE = 6.0  # s after its start, during which a viewer with a window shows notes over the picture
+_ALIKE = 3  # number of successive equal pictures after which everything is loaded
+_PAUSE = 0.7  # s between two pictures
+_LIMIT = 120.0  # s, time limit for a picture
+_NOTE = 6.0  # s after its start during which a viewer with a window shows notes over the picture
 _SETTINGS = '{{"egui": "(options:(theme_preference:{theme}))", "rerun.version": "{version}"}}'
-_MARK = b"Software\x00carom picture"  # a text in each PNG
+_MARK = b"Software\x00carom picture"  # a text that marks each PNG
 _HEAD = 33  # bytes of a PNG up to the end of its first chunk
-_BORDER = (7, 71)  # points of a window around a single view: edges, title and title bar
+_BORDER = (7, 71)  # points of a window around a single view, across and down: edges, title and title bar
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Picture:
     """The moment that a picture shows."""
 
     time: float  # s
-    missing: str  # why it shows the previous frame instead of the requested step; empty if it shows the step
+    missing: str  # why the picture shows the previous frame instead of the requested step; empty if it shows the step
 
 
 def render(
@@ -76,7 +76,7 @@ def render(
     size
         Width and height in pixels.
     view
-        One view that fills the picture, or all of them.
+        One view that fills the picture, or all views.
     theme
         Theme of the viewer and of all views, "dark" or "light".
 
@@ -117,14 +117,14 @@ class Shot:
     """One of several pictures of a recording."""
 
     request: Request
-    view: str  # a single one
+    view: str  # a single view
     out_png: Path
 
 
 def try_to_render(recording: Recording, shots: Sequence[Shot], size: tuple[int, int] = (1000, 640)) -> str:
     """Render moments of a recording, in order of time, with one viewer.
 
-    Return the reason if a picture fails, such as a missing driver; otherwise nothing. Pictures before it are kept.
+    Return the reason if a picture fails, such as a missing driver; otherwise nothing. Earlier pictures are kept.
     """
     canvas, last = Canvas(*size, framed=False, rendered=True), ""
     try:
@@ -165,7 +165,7 @@ def is_picture_of_carom(path: Path) -> bool:
 
 
 def _marked(png: bytes) -> bytes:
-    """Add a chunk of text to a PNG, behind its header, by which `is_picture_of_carom` knows it."""
+    """Add a chunk of text to a PNG, after its header; `is_picture_of_carom` recognises the PNG by it."""
     data = b"tEXt" + _MARK
     return png[:_HEAD] + struct.pack(">I", len(_MARK)) + data + struct.pack(">I", zlib.crc32(data)) + png[_HEAD:]
 
@@ -179,10 +179,10 @@ def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
 def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterator[Viewer]:
     """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left.
 
-    Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. That mode does not use the
-    system's fonts, either, and ends at a character that Rerun's own font lacks. A viewer with a window on a virtual
-    screen supports themes and pictures. Raises RecordingError if there is no Vulkan driver, or no Xvfb where one is
-    needed.
+    Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. Neither does the headless
+    mode use the system's fonts, and it ends at a character that Rerun's own font lacks. A viewer with a window on a
+    virtual screen supports themes and pictures. Raises RecordingError if there is no Vulkan driver, or no Xvfb where
+    one is needed.
     """
     window = ("--window-size", f"{size[0]}x{size[1]}")
     if theme == "dark" and has_all_glyphs(recording):
@@ -201,7 +201,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
     kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
     # RUST_LOG: a viewer with a window shows its log in boxes over the picture
     environment = {**kept, "XDG_DATA_HOME": str(folder), "RUST_LOG": "off"}
-    # the pointer starts in the middle of the screen: move it outside the window, where it hovers over nothing
+    # the pointer starts in the middle of the screen: move it out of the window, where it points at nothing
     screen = f"{2 * (size[0] + 1)}x{2 * (size[1] + 1)}"
     with Viewer("--persist-state", *window, screen=screen, folder=folder, environment=environment) as viewer:
         viewer.note_ends = time.monotonic() + _NOTE

@@ -69,16 +69,17 @@ from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
 
-_PLOTS = ("energy", PLOT)  # views that are plots
-_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
+_PLOTS = ("energy", PLOT)  # names of views that are plots
+# entities that are not sent for repeated steps
+_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)
 
 
 @dataclass(frozen=True, slots=True)
 class Presentation:
     """A moment of a recording, and the data that the viewer needs to show it."""
 
-    time: float  # s, at which the viewer pauses
-    missing: str  # why it shows the previous frame; empty if it shows the step
+    time: float  # s, time at which the viewer pauses
+    missing: str  # why the viewer shows the previous frame; empty if it shows the step
     supplement: Supplement
 
 
@@ -143,14 +144,14 @@ def presentation(
     Parameters
     ----------
     only
-        A single view, or all.
+        A single view, or all views.
     within
         The step that the moment belongs to, if it is the end of one step and the beginning of the next.
     at_own_time
         Whether to pause within the step, where the pair meets; by default only if the moment is that time, otherwise at
         the end of the step.
     pair
-        The bodies of the close-up view; by default the two of the step's hardest impact or, without one, of the run's,
+        The bodies of the close-up view; by default the bodies of the step's hardest impact, or else of the run's,
         unless they wait to enter.
     colour_by
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
@@ -161,7 +162,7 @@ def presentation(
     dense
         Whether to add all steps up to the next recorded frame.
     movie_clock
-        What the clock says, if the moment is that of the close-up of a movie.
+        The text of the clock, if the moment is shown in the close-up of a movie.
     watch
         Called while steps are repeated.
 
@@ -177,7 +178,7 @@ def presentation(
     recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
     chosen = pair or _pair(recording, header, step)
     places = [recording.shown.index(body) for body in chosen.bodies] if chosen else []
-    if change_with_time(header, by) and not recoloured:  # only the close-up needs them then
+    if change_with_time(header, by) and not recoloured:  # then only the close-up needs the colours
         fixed, own = None, recorded_colours(recording, header, places).on(canvas.theme)
     else:
         colours = body_colours(recording, header, by, step).on(canvas.theme)
@@ -217,7 +218,7 @@ def presentation(
         statics += plots.statics()
     if recoloured:
         rows.append(colours.rows(header))
-    # add the repeated steps, so that peaks between frames fit into the plots
+    # the repeated steps are added, so that peaks between frames fit into the plots
     curves = recorded_curves(recording)
     for series in repeated:
         if series.path in curves:
@@ -227,7 +228,7 @@ def presentation(
     has_trails = staging.trails is not None
     marks = impact_marks(recording, header, paused.time)
     contents = LegendContents() if canvas.rendered else drawn_during(recording, laid_out)
-    if paused.frame is not None:  # a repeated step may have what no frame has
+    if paused.frame is not None:  # a repeated step may have arrows that no frame has
         contents |= drawn_at(paused.frame, laid_out)
     elif canvas.rendered:
         contents = drawn_during(recording, laid_out)
@@ -323,7 +324,7 @@ _PHASES = {
     "colliding": "bodies touch or have just met",
     "settled": "most bodies rest on each other",
 }
-_LIMITS = {  # of the length of a step, as far as a name does not say it
+_LIMITS = {  # explanations of the limits of a step whose names say too little
     "cap": "the longest step that the scene allows",
     "fixed": "the step of the scene",
     "impact": "the next impact ends the step",
@@ -334,7 +335,7 @@ _LIMITS = {  # of the length of a step, as far as a name does not say it
 
 
 def _strip_lines(recording: Recording, moment: float) -> Iterator[LegendLine]:
-    """Explain the colours of phases and limits at a moment (s); they may be left out."""
+    """Explain the colours of phases and limits at a moment (s), in lines that may be left out."""
     row = max(0, int(np.searchsorted(recording.fingerprints()["time"].to_numpy(), moment, side="right")) - 1)
     for path, colours, words in (
         (paths.PHASE, palette.PHASES, _PHASES),
@@ -374,7 +375,7 @@ def _steps(
 ) -> tuple[list[Rows], _References]:
     """Return the rows of the repeated steps, and the magnitudes of arrows; no rows if all steps are recorded.
 
-    The steps may be the first with arrows, which then determine the magnitudes.
+    If these steps are the first with arrows, they determine the magnitudes.
     """
     recorded = recording.fingerprints()[STEP].to_numpy()
     if all(np.any(recorded == frame.step) for frame in step.added):
@@ -389,7 +390,7 @@ def _steps(
 def _instant(
     recording: Recording, header: Header, instant: ShownStep, references: _References
 ) -> tuple[list[Rows], _References]:
-    """Return the bodies, contacts, arrows and energies of an instant within a step, on the timeline of times only.
+    """Return the bodies, contacts, arrows and energies of an instant within a step, with times but no steps.
 
     Return also the magnitudes of arrows, which the instant may determine.
     """
@@ -410,7 +411,7 @@ def _drawn_arrows(
     references: Mapping[str, float],
     hidden: Sequence[str],
 ) -> Sequence[Rows]:
-    """Return the rows of the arrows of a step, or an instant, of few bodies; nothing if it is not known."""
+    """Return the rows of the arrows of a step, or an instant, of few bodies; nothing if the step is not known."""
     frame, state = shown.frame, shown.state
     if frame is None or header.bodies > FEW:
         return ()
@@ -465,7 +466,7 @@ def _numbers_apart(
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:
-    """Yield the recorded states at the first frame after a step, since states are recorded only where they change."""
+    """Yield the recorded states at the first frame after a step, since only changes of states are recorded."""
     table = recording.fingerprints()
     later = np.flatnonzero(table[STEP].to_numpy() > step)
     if len(later):

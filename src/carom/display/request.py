@@ -1,7 +1,7 @@
 """The request for a view of a recording: a moment or an event, bodies, plots and colours.
 
-`ShownStep` is the step that contains the moment. The step is computed again if it has no frame, or for data that frames
-lack.
+`ShownStep` is the step that contains the moment. The step is computed again if it has no frame, or if its frame lacks
+data.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Request:
     """A moment of a recording, the bodies to show close up, plots, and colours.
 
     Without a time and an event, the moment is the hardest impact or, without impacts, the step with the most contacts.
-    Both together raise RecordingError.
+    Giving both raises RecordingError.
     """
 
     at: float | None = None  # s
@@ -40,8 +40,9 @@ class Request:
     bodies: str | None = None  # for the close-up view: two numbers or names with a comma, or one for a body on a plane
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
-    edges: str = "impulse"  # what the edges beside the bodies show: "impulse", or the "stage" of the solver
-    arrows: str = "one"  # of what turns bodies: "one" with both numbers, or "both" of torque and angular acceleration
+    edges: str = "impulse"  # quantity that the edges beside the bodies show: "impulse", or the "stage" of the solver
+    # arrows of what turns bodies: "one" with both numbers, or "both", of torque and angular acceleration
+    arrows: str = "one"
 
     def __post_init__(self) -> None:
         """Refuse two moments."""
@@ -65,7 +66,7 @@ Watcher = Callable[[StepStatus], None]
 PATIENCE = 60.0  # s of repeated steps, for a step without a frame
 IMPATIENCE = 10.0  # s of repeated steps, for a step with a frame
 _MOST_BYTES = 50_000_000  # bytes of the frames between two recorded frames
-_BODY_BYTES = 300  # of a frame
+_BODY_BYTES = 300  # bytes of a body in a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +74,14 @@ class ShownStep:
     """A step of a recording, as shown."""
 
     step: int
-    time: float  # s, at its end
-    position: FloatArray  # (n, 3) m, of the shown bodies, from the recording's origin; NaN for those that wait
+    time: float  # s, time at the end of the step
+    # (n, 3) m, positions of the shown bodies from the recording's origin; NaN for bodies that wait
+    position: FloatArray
     frame: Frame | None = None  # the step, if it was repeated
     before: Frame | None = None  # the frame before the frames in `added`
     added: Sequence[Frame] = ()  # repeated steps: the shown step, the steps between recorded frames, and the next frame
-    state: Instant | None = None  # of an instant within the step: energies and spins before and after
-    velocities: FloatArray | None = None  # (2, b, 3) m/s, of the bodies of an instant before and after it
+    state: Instant | None = None  # for an instant within the step: energies and spins before and after
+    velocities: FloatArray | None = None  # (2, b, 3) m/s, velocities of an instant's bodies before and after it
     missing: str = ""  # why the step could not be repeated, if the step has no frame
 
 
@@ -88,9 +90,9 @@ def shown_step(
 ) -> ShownStep:
     """Find the step that contains a time (s), and repeat it if that takes no more than a minute.
 
-    If the time is the end of one step and the start of the next, ``within`` is the step to show, by default the former.
-    With ``dense``, all steps up to the next recorded frame are added. ``watch`` is called while steps are repeated.
-    Raises RecordingError if there is no frame.
+    If the time is the end of one step and the start of the next, ``within`` is the step to show, by default the step
+    that ends. With ``dense``, all steps up to the next recorded frame are added. ``watch`` is called while steps are
+    repeated. Raises RecordingError if there is no frame.
     """
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
@@ -166,10 +168,10 @@ def at_impact(
 ) -> ShownStep | None:
     """Return the instant of an impact within a repeated step; None if the pair has none before its end.
 
-    Its frame holds the positions and contacts of the instant, and its state the quantities that jump there. Of several
-    impacts of the pair, the impact nearest to the time ``near`` (s) is chosen, then the fastest; where ``near`` is the
-    end of the step, the fastest. An impact within a nanosecond of the end of the step is shown at its end, and found
-    with ``at_end`` only.
+    The frame of the instant holds positions and contacts, and its state holds the quantities that jump at the instant.
+    Among several impacts of the pair, the nearest to the time ``near`` (s) is chosen, and among equally near ones the
+    fastest. If ``near`` is the end of the step, the fastest impact is chosen. An impact within a nanosecond of the end
+    of the step is shown at this end, and found only with ``at_end``.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
@@ -184,7 +186,7 @@ def at_impact(
         return None
     off = np.abs(impacts["time"][own] - near)
     off[off <= tolerance(near)] = 0.0
-    if abs(near - frame.time) <= tolerance(near):  # the end of the step, and no time of an impact
+    if abs(near - frame.time) <= tolerance(near):  # ``near`` is the end of the step, not the time of an impact
         off[:] = 0.0
     k = own[np.lexsort((-impacts["approach_speed"][own], off))[:1]]
     (state,) = instants(header, before, frame, impacts, k, np.ones(1, np.int64))
@@ -221,7 +223,7 @@ def _run(
         if frame.time <= earlier and frame.time < goal:
             before = frame
             continue
-        if len(added) == most:  # only the last ones are kept
+        if len(added) == most:  # only the last steps are kept
             before = added.pop(0)
         added.append(frame)
         if shown is None and frame.time >= goal and (within is None or frame.step >= within):

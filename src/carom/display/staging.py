@@ -35,16 +35,16 @@ from carom.recording.write.static_entities import grid_spacing, plane_grids
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
 
-_LOOKS = 50  # frames of many bodies to which the camera is fitted
+_LOOKS = 50  # number of frames, with many bodies, to which the camera is fitted
 MOST_BANDS = 100
-MOST_POINTS = 1000  # of impacts; with a few more, a picture takes the software driver seconds
-_BANDS = (palette.IMPACTS, palette.YELLOW)  # of alternate impacts
+MOST_POINTS = 1000  # most points of impacts; with more, the software driver takes seconds for a picture
+_BANDS = (palette.IMPACTS, palette.YELLOW)  # colours of alternate impacts
 MOST_NAMES = 16
 _ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
-_LENGTH = 0.16  # of the field's arrow, in heights of the view
-_AXIS = 0.8  # of the axes at most, in lengths of the field's arrow; at least 0.4, since they are rounded down
-_BELOW = 0.14  # from the corner of the axes to the border of the view, in heights of the view
-_AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # x, y, z
+_LENGTH = 0.16  # length of the field's arrow, in heights of the view
+_AXIS = 0.8  # largest length of the axes, in lengths of the field's arrow; at least 0.4, since lengths are rounded down
+_BELOW = 0.14  # distance of the axes' corner from the border of the view, in heights of the view
+_AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # colours of x, y and z
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +52,9 @@ class Staging:
     """A camera fitted to the motion in a recording, and additions to the bodies."""
 
     camera: CameraFit
-    trails: Trails | None  # of few bodies
+    trails: Trails | None  # trails, if there are few bodies
     header: Header
-    origin: FloatArray  # (3,) m, of the recording
+    origin: FloatArray  # (3,) m, origin of the recording
 
     @classmethod
     def of(
@@ -86,7 +86,7 @@ class Staging:
         trails = Trails(recording, header, colours, repeated) if has_trails(recording) else None
         if trails is not None:
             trails.show(camera, until)
-            # without contacts, show whole orbits: all bodies may be near their pericentres now
+            # without contacts, show whole orbits, since all bodies may be near their pericentres now
             if not header.collides or recording.closing.get("contacts.total") == 0:
                 camera.show_all()
         elif recording.frames > 1:
@@ -116,7 +116,7 @@ class Staging:
 
     @property
     def _has_own_grids(self) -> bool:
-        """Whether grids are where the camera looks; grids in a box, or of walls, stay as they were recorded."""
+        """Whether grids are where the camera looks; the grids of a box or of walls stay as recorded."""
         return self.header.walls is None and self.header.box is None
 
     @property
@@ -201,7 +201,7 @@ def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curve
 def caption(lines: Sequence[str], theme: str, time: float) -> Iterator[tuple[Rows, Static]]:
     """Yield the title of a plot that fills a picture, which has no title bar: the first lines of its legend.
 
-    Each is the name of a series without a value, at a time (s) in the plot, whose dot has the colour of the ground.
+    Each line is the name of a series without a value, at a time (s) in the plot; its dot has the colour of the ground.
     """
     for line, text in enumerate(lines):
         path = f"{CAPTION}/{line}"
@@ -227,8 +227,8 @@ def axes_and_field(
     """Draw the axes of space at the lower border of a view, with their length, and a uniform field at the upper.
 
     The axes are the scale of the picture: their length is a round number. Each arrow is on the side where it covers
-    less of what is ``drawn``, points (k, 3) m with radii (k,) m, and on the left if both are equal. In a corner with a
-    legend, it is beside the legend. The ``field`` is (3,) m/s², or None.
+    fewer of the ``drawn`` points, (k, 3) m with radii (k,) m, and on the left if the sides are equal. In a corner with
+    a legend, an arrow is beside the legend. The ``field`` is (3,) m/s², or None.
     """
     height, size = view.height(), 0.0 if field is None else float(np.linalg.norm(field))
     right, up = view.axes()
@@ -237,15 +237,16 @@ def axes_and_field(
     pull = f"gravity, {units.text(size, dimension.ACCELERATION, '.4g')}"
     scale = f"axes: {units.text(axis, dimension.LENGTH, '.6g')}"
     places, sizes = view.on_screen(drawn), view.radius_on_screen(drawn, radius)[:, None]
-    weights = np.where(sizes[:, 0] > 0.0, len(sizes) + 1, 1)  # rather over all points of paths than over one body
-    reach = np.array([_LETTER * (len(pull) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
+    # covering one body is worse than covering all points of paths
+    weights = np.where(sizes[:, 0] > 0.0, len(sizes) + 1, 1)
+    reach = np.array([_LETTER * (len(pull) + 1) / area.height, _LENGTH])  # half sizes of the label and the arrow
 
     def placed(middle: float, extent: FloatArray, start: float, taken: FloatArray) -> FloatArray:
         aside = np.zeros(2)  # how far the legend moves the axes on each side
         if legend is not None and legend[1] * start > 0.0:
             aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
         sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]
-        # where both sides would cover something: between them, and half way up
+        # if both sides would cover something: between the sides, and half way up
         free = [x for x in (-1.0, 1.0) if legend is None or legend[0] * x < 0.0]
         sides += [np.array([0.0, middle]), *(np.array([x * 0.72 * area.aspect, 0.0]) for x in free)]
         aside = np.pad(aside, (0, len(sides) - 2))
@@ -261,9 +262,9 @@ def axes_and_field(
     origins, vectors = np.tile(corner, (3, 1)), axis * np.eye(3)
     letters = corner + 1.15 * vectors
     heights = 0.5 * height * (view.on_screen(letters) - view.on_screen(corner))[:, 1]
-    row = _ROW * height / area.height  # of a line of text
+    row = _ROW * height / area.height  # m, height of a line of text
     beneath = min(-0.45 * _AXIS * length, float(heights.min()) - row)
-    if beneath - row < -_BELOW * height:  # Rerun writes a label below its point, and the border is there
+    if beneath - row < -_BELOW * height:  # Rerun writes a label below its point, beyond the border here
         beneath = float(heights.max()) + row
     texts, ends = ["x", "y", "z", scale], np.vstack([letters, corner + beneath * up])
     theme = area.theme
@@ -283,7 +284,7 @@ def axes_and_field(
 
 
 def _round_length(most: float, units: UnitSystem) -> float:
-    """Return the longest round length (m) up to ``most``: 1, 2 or 5 times a power of ten, in the scene's unit."""
+    """Return the longest round length (m) up to ``most``: 1, 2 or 5 times a power of ten in the scene's unit."""
     shown = units.shown(most, dimension.LENGTH)
     power = 10.0 ** np.floor(np.log10(shown))
     return float(most * max(step for step in (1.0, 2.0, 5.0) if step * power <= shown) * power / shown)
@@ -292,7 +293,7 @@ def _round_length(most: float, units: UnitSystem) -> float:
 def names_that_fit(header: Header, position: FloatArray, view: View, area: Area) -> tuple[str, ...]:
     """Return the names (n,) of bodies at (n, 3) m if they are few, otherwise ().
 
-    Where two names would overlap in a view of this area, the name of the smaller body is empty.
+    If two names would overlap in a view of this area, the name of the smaller body is empty.
     """
     n = len(position)
     if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":
@@ -312,7 +313,7 @@ def _numbered(names: Sequence[str]) -> list[str]:
 
 
 def _apart(names: Sequence[str], header: Header, position: FloatArray, view: View, area: Area) -> BoolArray:
-    """Return which names (n,) can be shown so that none covers another, those of large bodies first."""
+    """Return which names (n,) can be shown so that no name covers another; names of large bodies come first."""
     n = len(names)
     points = (position - view.target) @ view.axes().T * area.height / view.height()
     wide = np.array([_LETTER * (len(name) + 1) for name in names])

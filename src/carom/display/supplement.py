@@ -1,7 +1,7 @@
 """`Supplement`: rows and a layout that a viewer gets in addition to a recording; the file does not change.
 
-Among them are trails, the paths of a few bodies up to the moment that is shown, and plots of single bodies: position,
-velocity and spin over time, requested as ``top.z, top.omega``.
+Such rows are trails (the paths of a few bodies up to the shown moment), and plots of single bodies: position, velocity
+and spin over time, requested as ``top.z, top.omega``.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Supplement:
     """Rows, static data and a layout, sent to a viewer that shows the recording."""
 
     layout: rrb.Blueprint
-    clock: TimeScale  # of the recording
+    clock: TimeScale  # clock of the recording
     rows: Sequence[Rows] = ()
     statics: Sequence[Static] = ()
 
@@ -72,17 +72,16 @@ class Supplement:
             stream.disconnect()
 
 
-_MOST_FRAMES = 2000  # of a longer path, every k-th frame is used
-_TANGLED = 20.0  # length of all paths, over the size of the space that they fill
-_POINTS = 1000  # of a smooth path with fewer frames, since integrators of high order take long steps
+_MOST_FRAMES = 2000  # most frames of a path; if there are more, every k-th frame is used
+_TANGLED = 20.0  # length of all paths, relative to the size of the space that they fill, from which they are a tangle
+_POINTS = 1000  # fewest points of a smooth path: integrators of high order take long steps
 
 
 class Trails:
     """The paths of all bodies of a recording, as pieces from frame to frame.
 
-    Where nothing ever touched, a piece is part of the cubic spline through all frames. ``colours``, (n,), are the
-    colours of the bodies. A ``repeated`` step between two frames is a point of the paths, too: they lead to where its
-    bodies are.
+    If nothing ever touched, a piece is part of the cubic spline through all frames. ``colours``, (n,), are the colours
+    of the bodies. The paths also pass through the positions in a ``repeated`` step between two frames.
     """
 
     def __init__(
@@ -108,7 +107,7 @@ class Trails:
         """Return the time (s) for which paths are drawn, if all of them would be a tangle that hides the bodies."""
         pieces = np.linalg.norm(np.diff(self._position, axis=0), axis=2)
         size = float(np.ptp(self._position, axis=(0, 1)).max(initial=0.0))
-        total = float(pieces.sum(where=pieces < 0.5 * size))  # others cross the border of a box
+        total = float(pieces.sum(where=pieces < 0.5 * size))  # longer pieces cross the border of a box
         if not total > _TANGLED * size:
             return None
         return float(f"{(self._times[-1] - self._times[0]) * _TANGLED * size / total:.1g}")
@@ -165,7 +164,7 @@ def has_trails(recording: Recording) -> bool:
     return len(recording.shown) <= FEW and recording.frames > 1
 
 
-MOST = 12  # curves that can be distinguished
+MOST = 12  # most curves that can be distinguished
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +173,7 @@ class Quantity:
 
     name: str
     unit: str
-    vector: str  # vector of the state
+    vector: str  # name of a vector of the state
     axis: int | None  # the component of the vector; None for its length
 
     def of(self, vectors: FloatArray) -> FloatArray:
@@ -199,18 +198,18 @@ class BodySeries:
     """A quantity of a body over the frames of a recording."""
 
     body: int
-    name: str  # of the body
+    name: str  # name of the body
     quantity: Quantity
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s
-    value: FloatArray  # (k,) in the unit of the quantity
+    value: FloatArray  # (k,) values in the unit of the quantity
 
 
 def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False) -> list[tuple[int, Quantity]]:
     """Read the requested quantities of bodies, ``BODY.QUANTITY`` separated by commas; bodies have numbers or names.
 
-    With ``one_unit``, all must have the same unit. Raises RecordingError if there is no such body or quantity, or the
-    units differ.
+    With ``one_unit``, all quantities must have the same unit. Raises RecordingError if there is no such body or
+    quantity, or the units differ.
     """
     asked: dict[tuple[int, Quantity], None] = {}
     with_commas = [body for body in recording.bodies.name if "," in body]
@@ -307,11 +306,11 @@ class BodyPlots:
     """The series to plot."""
 
     series: Sequence[BodySeries]
-    system: UnitSystem = SI  # of the recording
-    colours: Mapping[int, int] = field(default_factory=dict)  # of the bodies, if they are constant in time
+    system: UnitSystem = SI  # units of the recording
+    colours: Mapping[int, int] = field(default_factory=dict)  # colours of the bodies, if they are constant in time
     alone: bool = False  # whether a plot fills the picture
-    caption: Sequence[str] = ()  # its title then, lines of the legend
-    span: IntArray | None = None  # (2,) ns, of the axis of a picture
+    caption: Sequence[str] = ()  # title of a plot that fills the picture: lines of the legend
+    span: IntArray | None = None  # (2,) ns, ends of the time axis of a picture
 
     @property
     def units(self) -> list[str]:

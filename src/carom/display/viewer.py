@@ -31,14 +31,14 @@ from carom.recording.write.rerun_compat import connect_viewer
 
 _T = TypeVar("_T")
 
-_LOAD = 120.0  # s
-_POLL = 0.1  # s
+_LOAD = 120.0  # s, time limit for loading a recording
+_POLL = 0.1  # s, interval of checks
 _DYING = 2.0  # s in which a viewer that stopped answering may still end
-_GRACE = 15.0  # s from the request to end to the kill; the process gives its own children 5 s each
-_TOO_LATE = "Deadline expired"  # of Rerun's client, whose limit cannot be set
+_GRACE = 15.0  # s between requesting the end and killing the process; the process gives its own children 5 s each
+_TOO_LATE = "Deadline expired"  # error of Rerun's client at its time limit, which cannot be set
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
 _DRIVER_WORDS = ("wgpu", "vulkan", "graphics", "adapter", "render context", "xkbcommon", "librar", "egl")
-_DREW = "wgpu adapter backend"  # in the log of a viewer that has a graphics driver
+_DREW = "wgpu adapter backend"  # text in the log of a viewer that has a graphics driver
 _GLYPH = re.compile(r'No glyph for "(.+?)" \(')
 _PANIC = re.compile(r"panicked at '([^\n]+?)'?$", re.MULTILINE)
 
@@ -51,9 +51,9 @@ class Viewer:
     options
         Options of Rerun's viewer.
     screen
-        WIDTHxHEIGHT of a virtual screen to show it on; by default the user's.
+        WIDTHxHEIGHT of a virtual screen to show it on; by default the user's screen.
     folder
-        Its folder for temporary files, which it deletes; by default a new one.
+        Folder for temporary files, which the process deletes; by default a new folder.
     keep
         Options of `keeper`.
     """
@@ -66,7 +66,7 @@ class Viewer:
         keep: tuple[str, ...] = (),
         environment: dict[str, str] | None = None,
     ) -> None:
-        self.note_ends = 0.0  # s, monotonic, up to which it shows a note
+        self.note_ends = 0.0  # s, monotonic time until which the viewer shows a note
         private = private_folder()
         self._log = tempfile.TemporaryFile(mode="w+", dir=private)  # noqa: SIM115  it lives as long as the process
         beside = private.parent if keeper.LIVE in keep else private  # this process deletes its own folder at its end
@@ -94,7 +94,7 @@ class Viewer:
                 if not port:
                     self._process.wait()
                     self._fail_if_ended()
-                self.address = f"{HOST}:{port}"  # to which a live recording can be sent
+                self.address = f"{HOST}:{port}"  # address to which a live recording can be sent
                 self.client = self._ask(lambda: connect_viewer(f"rerun+http://{self.address}/proxy"))
             except BaseException:
                 self._end()
@@ -136,7 +136,7 @@ class Viewer:
         return self._ask(lambda: self.client.take_screenshot(view))
 
     def only_view(self, before: str = "") -> str:
-        """Wait for a layout whose single view is not ``before``; return the view's id."""
+        """Wait for a layout with a single view other than ``before``; return the view's id."""
         shown: list[str] = []
 
         def is_laid_out() -> bool:
@@ -155,7 +155,7 @@ class Viewer:
         time.sleep(max(0.0, self.note_ends - time.monotonic()))
 
     def outlast(self, seconds: float) -> None:
-        """Wait for some seconds; raise RecordingError if the process ends, since it listens before it has a window."""
+        """Wait for some seconds; raise RecordingError if the viewer ends: it listens before it has a window."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
         self._fail_if_ended()
@@ -163,7 +163,7 @@ class Viewer:
     def _ask(self, question: Callable[[], _T], *, again: bool = True) -> _T:
         """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended.
 
-        A busy machine can take longer than Rerun waits for an answer. Such a question is asked ``again``.
+        A busy machine can take longer than Rerun waits for an answer. With ``again``, the question is then asked again.
         """
         end = time.monotonic() + _LOAD
         while True:
@@ -232,7 +232,7 @@ def broken_off(said: str) -> str | None:
 
 
 def drawing() -> str:
-    """Describe what a viewer needs that draws without a screen, and how to install it."""
+    """Describe what a viewer needs to draw without a screen, and how to install it."""
     debian = "mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
     fedora = "mesa-vulkan-drivers vulkan-loader libxkbcommon libxkbcommon-x11"
     return f"it needs a Vulkan driver; without a graphics card: {install_packages(debian, fedora)}"
@@ -244,7 +244,7 @@ def virtual_screen() -> str:
 
 
 def _lacks_driver(said: str) -> bool:
-    """Return whether a text says that there is no graphics card or driver, or no library that they need."""
+    """Return whether a text says that a graphics card, its driver, or a library for these is missing."""
     return any(word in said.lower() for word in _DRIVER_WORDS)
 
 
@@ -287,7 +287,7 @@ def view(
     recording
         The recording, or its file.
     at
-        s; without it, the event or otherwise the most interesting moment.
+        Time in s; by default the event or, without an event, the most interesting moment.
     event
         The name of an event, whose bodies the close-up view shows.
     bodies
@@ -299,7 +299,7 @@ def view(
 def open_window(path: str | Path, request: Request, *, say: Callable[[str], None] = lambda _: None) -> None:
     """Open a recording, paused at a moment; return when the window is closed.
 
-    ``say`` is called with the reason if the step of that moment cannot be shown. Raises RecordingError if the recording
+    ``say`` is called with the reason if the step of the moment cannot be shown. Raises RecordingError if the recording
     cannot be read, there is no such moment, event, body or quantity, or no screen.
     """
     recording = Recording.open(path)

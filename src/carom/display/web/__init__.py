@@ -39,14 +39,17 @@ PAGE = "viewer.html"
 RECORDING = "recording.rrd"
 LAYOUT = "layout.rbl"
 NOTICES = "THIRD_PARTY_NOTICES.md"
-FILES = (PAGE, "viewer.css", "viewer.js", "re_viewer.js", "re_viewer.wasm.gz", LAYOUT, NOTICES)  # and the recording
+# files of a page, besides the recording
+FILES = (PAGE, "viewer.css", "viewer.js", "re_viewer.js", "re_viewer.wasm.gz", LAYOUT, NOTICES)
 
-_LEVEL = 4  # 43 MB become 14.3 MB in 1.0 s; level 6: 13.8 MB in 2.0 s. Some static hosts refuse files above 25 MB
+# level of compression: 43 MB become 14.3 MB in 1.0 s; with level 6, 13.8 MB in 2.0 s. Some static hosts refuse files
+# above 25 MB
+_LEVEL = 4
 _SCRIPT_STARTS, _SCRIPT_ENDS = b"let wasm_bindgen = (function(exports)", b"})({ __proto__: null });\n"
 _MODULE_STARTS = b"\0asm\x01\0\0\0"
 _LAST_SECTION = 13
 _NO_WEB_VIEWER = "the installed rerun-sdk holds no web viewer that carom can read; install the version that carom names"
-_NAMES = (HOST, "localhost")  # hosts that requests may name; others come from pages that were rebound to 127.0.0.1
+_NAMES = (HOST, "localhost")  # hosts that requests may name; other names come from pages that were rebound to 127.0.0.1
 _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
 
 
@@ -54,21 +57,21 @@ _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/
 class PageNames:
     """The names of a recording's files in a folder."""
 
-    stem: str = ""  # begins the names: letters, digits and hyphens; empty if there is only one recording
+    stem: str = ""  # first part of the names: letters, digits and hyphens; empty if there is only one recording
 
     @property
     def page(self) -> str:
-        """The page about the recording."""
+        """Name of the page about the recording."""
         return f"{self.stem or 'index'}.html"
 
     @property
     def recording(self) -> str:
-        """The recording."""
+        """Name of the recording."""
         return f"{self.stem}.rrd" if self.stem else RECORDING
 
     @property
     def layout(self) -> str:
-        """The layout in which the viewer shows it."""
+        """Name of the layout in which the viewer shows the recording."""
         return f"{self.stem}.rbl" if self.stem else LAYOUT
 
     def moment(self, number: int) -> str:
@@ -87,7 +90,7 @@ ONLY = PageNames()
 
 
 def write_viewer(folder: Path, title: str) -> None:
-    """Write the viewer and its page into a folder, beside which it expects layouts and recordings.
+    """Write the viewer and its page into a folder; the viewer expects layouts and recordings beside this folder.
 
     Raises RecordingError if the installed Rerun has no web viewer, and OSError if the folder cannot be written.
     """
@@ -116,7 +119,7 @@ def write_moment(recording: Recording, supplement: Supplement, folder: Path, nam
 
 
 def _copy_web_viewer(folder: Path) -> None:
-    """Copy the web viewer out of Rerun's binary, whose own server uses a port that another user may have taken."""
+    """Copy the web viewer out of Rerun's binary: Rerun's own server uses a port that another user may have taken."""
     with Path(binary()).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as program:
         start = program.find(_SCRIPT_STARTS)
         end = program.find(_SCRIPT_ENDS, start)
@@ -137,7 +140,7 @@ def _web_assembly(program: mmap.mmap) -> slice:
     while program[end] <= _LAST_SECTION:
         size = shift = 0
         place = end + 1
-        while True:  # LEB128: seven bits a byte, the lowest first
+        while True:  # LEB128: seven bits in each byte, the lowest first
             byte = program[place]
             size |= (byte & 127) << shift
             place, shift = place + 1, shift + 7
@@ -154,7 +157,8 @@ class Hosted:
     """The addresses of a page."""
 
     link: str  # contains a secret: whoever knows it can open the recording
-    # leads only this user to `link`; without the secret, for a browser's command line, which other users can read
+    # address without the secret, which leads only this user to `link`: it is for a browser's command line, which other
+    # users can read
     command_line: str
 
 
@@ -199,7 +203,7 @@ class _Server(ThreadingHTTPServer):
 
     daemon_threads = True
     files: Mapping[str, Path] = {}
-    entrance = ""  # a path that redirects connections of this user to the link
+    entrance = ""  # path that redirects connections of this user to the link
     link = ""
 
     def knows_us(self, peer: tuple[str, int] | None = None) -> bool:
@@ -276,8 +280,8 @@ def _listening(port: int) -> _Server:
 
 INDEX, STYLE = "index.html", "index.css"
 SIZE = (1000, 640)  # pixels of a picture
-NARROW_SIZE = (400, 520)  # pixels of a picture for phones, on which the words of the other would be too small
-_NARROW = 520  # pixels of width, up to which a screen gets it
+NARROW_SIZE = (400, 520)  # pixels of a picture for phones, on which the words of the large picture would be too small
+_NARROW = 520  # largest width (pixels) of a screen that gets the narrow picture
 _FRAME = "frame.html"  # the template of a page, around the template of its content
 _CLASS = "class.html"  # the template of the page with cards
 
@@ -288,8 +292,8 @@ class Figure:
 
     heading: str
     details: Sequence[str]
-    link: str  # to the viewer, paused at the moment
-    pictures: Sequence[str]  # names of their files
+    link: str  # link to the viewer, paused at the moment
+    pictures: Sequence[str]  # names of the pictures' files
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,33 +305,33 @@ class About:
     recording: str  # name of the published file
     size: int  # bytes of the recording
     viewer: str  # address of the viewer
-    problems: Sequence[str]  # what went wrong, and warnings
-    description: str  # of the scene
-    headline: Sequence[tuple[str, str]]  # names and texts
-    rows: Sequence[tuple[str, str]]  # of a table: names and texts
+    problems: Sequence[str]  # problems of the run, and warnings
+    description: str  # description of the scene
+    headline: Sequence[tuple[str, str]]  # names and texts above the table
+    rows: Sequence[tuple[str, str]]  # rows of a table: names and texts
     scene: str  # the scene file; empty if the recording has none
     figures: Sequence[Figure]
     energy: str  # name of the picture of the energy; empty without one
-    missing: str  # why there are no pictures, or fewer; empty if there are all
-    narrow: bool  # whether each picture has one for phones, called `narrow_name`
+    missing: str  # why pictures are missing; empty if none is missing
+    narrow: bool  # whether each picture has a version for phones, called `narrow_name`
 
 
 @dataclass(frozen=True, slots=True)
 class Card:
-    """A recording on the page of several."""
+    """A recording on the page about several recordings."""
 
     page: str
     about: About
-    picture: str  # name of its file; empty without one
+    picture: str  # name of the picture's file; empty without a picture
 
 
 def narrow_name(name: str) -> str:
-    """Return the name of the picture for phones, given that of the other."""
+    """Return the name of the picture for phones, given the name of the large picture."""
     return f"{name.removesuffix('.png')}-narrow.png"
 
 
 def write_page(path: Path, about: About, *, back: bool) -> None:
-    """Write the page about a recording, with a link ``back`` to the others or without one."""
+    """Write the page about a recording, with or without a link ``back`` to the page about all recordings."""
     viewer = hypertext(about.viewer)
     scene = f"<details><summary>Scene file</summary><pre>{hypertext(about.scene)}</pre></details>"
     paragraphs = (" ".join(part.split()) for part in about.description.split("\n\n"))
