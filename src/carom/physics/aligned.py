@@ -54,7 +54,7 @@ class Buffer:
 def raw(records: RecordArray[object]) -> Records:
     """Return contiguous records as bytes, without a copy.
 
-    NumPy copies fields one by one, which takes 100 times as long.
+    NumPy would copy fields one by one, which takes 100 times as long.
     """
     array: Records = np.asarray(records)
     return array.view(np.dtype((np.void, array.dtype.itemsize)))
@@ -85,7 +85,7 @@ def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
 
 @cache
 def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[np.dtype[Any], int]:
-    """Return one type for all adjacent fields, and their offset in a record in bytes."""
+    """Return one type for all adjacent fields, and their offset (bytes) in a record."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
     assert kind.names[first : first + len(names)] == names, "the fields are adjacent and in this order"

@@ -1,4 +1,4 @@
-"""Steps of integrators that choose their own length, many per call, up to the next check or frame."""
+"""Steps of integrators that choose the lengths themselves: many steps per call, up to the next check or frame."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from carom.physics.world import World
 from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
-FORESEEN = 2.0  # largest ratio of the next step to the last step by the holder
-MOST_STRIKES = 100  # most impacts at one moment; bodies that still meet then rest on each other
+FORESEEN = 2.0  # largest ratio of the next step to the holder's last step
+MOST_STRIKES = 100  # most impacts at one moment; bodies that still meet after these rest on each other
 
 
 class BatchStepper:
     """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet, and keeps its books.
 
-    ``timestep`` suggests the first step. The ``holder`` computes the steps once contacts come to rest; it is None where
+    ``timestep`` suggests the first step. The ``holder`` computes the steps once contacts come to rest; it is None if
     nothing can touch. With an accuracy, the integrator resumes once nothing touches; otherwise the holder finishes the
     run.
     """
@@ -46,7 +46,8 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
-        self._takes_back = world.scene.promise is not None  # only with an accuracy
+        # whether the integrator resumes, as it does with an accuracy
+        self._takes_back = world.scene.promise is not None
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
@@ -159,7 +160,7 @@ class BatchStepper:
             self._held = True
             since = "while they do," if self._takes_back else "from now on"
             text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
-            # an event of the step that begins here, since the frame of the last step may have been recorded
+            # an event of the step that begins now, since the frame of the last step may already be recorded
             self._books.log(Event(world.clock.step + 1, time, "INFO", text, "at-rest"))
             self._holder.take_over()
         return batch

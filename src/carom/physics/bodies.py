@@ -12,14 +12,14 @@ from carom.scene.start import InitialBodies
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """The possible ends of a contact: n bodies, then p planes and walls, which have velocities of 0 here.
+    """The possible ends of a contact: n bodies, then p planes and walls, whose velocities are 0 here.
 
     The arrays of `Bodies` are views of the first n rows.
     """
 
     velocity: FloatArray  # (n + p, 3) m/s, velocities
     acceleration: FloatArray  # (n + p, 3) m/s², accelerations
-    angular_velocity: FloatArray  # (n + p, 3) rad/s, spins; (0, 3) where nothing spins
+    angular_velocity: FloatArray  # (n + p, 3) rad/s, spins; (0, 3) if nothing spins
     inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies, infinite for test particles
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 for planes and fixed bodies, infinite for test particles
     radius: FloatArray  # (n + p,) m, radii; infinite for a plane
@@ -32,7 +32,7 @@ class Bodies:
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², acceleration by all forces but drag
-    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; this and the next three arrays are empty if not required
+    orientation: FloatArray  # (n, 4) unit quaternions, xyzw; this array and the next three are empty if not required
     angular_velocity: FloatArray  # (n, 3) rad/s
     angular_acceleration: FloatArray  # (n, 3) rad/s², mean over the last step; empty without torques
     torque: FloatArray  # (n, 3) N m, Σ r × J / dt over all contacts and impacts of the last step

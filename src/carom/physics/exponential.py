@@ -4,8 +4,8 @@
 
     φ₁ = (1 - e^{-z})/z,    φ₂ = (1 - φ₁)/z,    M = (-ln(1 - y) - y)/y²
 
-Each is accurate to one or two roundings at any argument, also where these differences would cancel. The last bits of
-libm's functions differ between machines.
+Each function is accurate to one or two roundings at any argument, also if these differences would cancel. libm is not
+used, since the last bits of its functions differ between machines.
 """
 
 from __future__ import annotations

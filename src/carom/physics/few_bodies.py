@@ -2,12 +2,12 @@
 
 A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python calls a kernel for each part of it, and
 nearly two hundred with contacts. `KickDriftStepper` therefore leaves the steps up to the next frame or check to this
-kernel, in one of two forms: while nothing touches, its stages of contacts are the gaps of `open_gaps`; while the same
-contacts last, the stages of `contact.events.steady_contacts`. The same kernels as in single steps choose dt, rotate,
-kick, drift and resolve, in the same order, so the bits are the same as in single steps.
+kernel, in one of two forms: while nothing touches, the contact stages are the gaps of `open_gaps`; while the same
+contacts last, they are the stages of `contact.events.steady_contacts`. The same kernels as in single steps choose dt,
+rotate, kick, drift and resolve, in the same order, so the bits are the same as in single steps.
 
-A step that Python must process is undone and left to `KickDriftStepper`: one in which something may begin to touch,
-or in which contacts change, or one too short to change the clock.
+A step that Python must process is undone and left to `KickDriftStepper`: a step in which something may begin to touch
+or contacts change, or a step that is too short to change the clock.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from carom.physics.vector import is_periodic, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
-if TYPE_CHECKING:  # `physics.jit.cache` follows these imports, too
+if TYPE_CHECKING:  # `physics.jit.cache` also follows these imports
     import carom.physics.contact.events.steady_contacts  # noqa: F401 - its stages are compiled into the kernel
     from carom.physics.contact.events.steady_data import SteadyContacts
     from carom.physics.forces.drag import DragLaw
@@ -88,16 +88,16 @@ class FlightLaws(NamedTuple):
     uniform: FloatArray  # (f, 3) m/s², the uniform acceleration by each force that has one
     rule: RecordArray[RuleRecord]  # (1,)
     forces: Parameters  # of installed packages
-    damping: DragLaw | tuple[()]  # parameters of the force that depends on velocities; empty without one
+    damping: DragLaw | tuple[()]  # parameters of the force that depends on velocities; empty if no force does
 
 
 class FlightClock(NamedTuple):
     """Where the steps start and end."""
 
     time: float  # s
-    end: float  # s, of the run
+    end: float  # s, end of the run
     until: float  # s, time at which the last step ends
-    most: int  # steps
+    most: int  # largest number of steps
     average: float  # s, moving average of the step
     step: int  # number of the last step
     stops_before: bool  # whether to stop before the step that reaches `until`, since a schedule reads the state there
@@ -116,8 +116,8 @@ class Flight(NamedTuple):
 
     steps: int
     before: float  # s, time before the last step
-    time: float  # s, time after it
-    dt: float  # s, its length
+    time: float  # s, time after the last step
+    dt: float  # s, length of the last step
     limit: str  # the limit that set the length of the step
     impact_energy: float  # J, energy of recent impacts before the last step; see `Activity`
 
@@ -180,9 +180,9 @@ def can_fly(world: World) -> bool:
         len(world.bodies) <= MAX_IN_ONE_BLOCK
         and world.forces.laws is not None
         and not any(part.needs_every_step for part in world.parts)
-        and not world.planes.has_facets  # only single steps find those near a body
+        and not world.planes.has_facets  # only single steps find the facets near a body
         and world.scene.expect.contact_audit is None  # the audit needs every kick
-        and not (world.is_periodic and world.contact is None)  # only a single step refuses too many crossings
+        and not (world.is_periodic and world.contact is None)  # only single steps refuse too many crossings
     )
 
 
@@ -196,9 +196,9 @@ def take_steps(
     contacts: SteadyContacts | tuple[()],
     totals: Totals,
 ) -> tuple[int, float, float, float, int, float]:
-    """Take steps; return their number, the times before and after the last, its length and limit, and the average.
+    """Take steps; return their number, then times, length and limit of the last step, and the average.
 
-    ``contacts`` are those of all steps; with an empty tuple, nothing touches.
+    ``contacts`` hold in all steps; with an empty tuple, nothing touches.
     """
     contacts = by_address(contacts)
     time, end, until, most, average, number, stops_before = clock

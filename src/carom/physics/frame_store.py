@@ -26,7 +26,7 @@ class FrameStore:
         self._buffers = tuple(np.zeros((slots, *array.shape)) for array in _arrays(bodies))
         self.position, self.velocity, self.acceleration, self.orientation, *of_spin = self._buffers
         self.angular_velocity, self.torque, self.angular_acceleration = of_spin
-        self.contact_rows = defaultdict[int, Buffer](lambda: Buffer(CONTACT_ROW))  # by slot
+        self.contact_rows = defaultdict[int, Buffer](lambda: Buffer(CONTACT_ROW))  # rows of contacts, by slot
         self._bodies = bodies
         self._views: list[tuple[FloatArray, ...] | None] = [None] * slots
         self._next = 0

@@ -1,6 +1,6 @@
 """The books of a run: energy and momentum compared with the start, extremes, activity and events.
 
-No step depends on the books.
+Steps do not depend on the books.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ ROUNDING = 1e-10  # upper bound of the relative rounding in a sum over 10⁶ bod
 class BalanceAudit:
     """Energy and momentum at the last frame or check, compared with their values at the start of the run.
 
-    ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, ``constant`` (J) the gravitational
-    energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and optional parts,
-    ``pressing`` (J) the work of loads over a radius.
+    ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, and ``constant`` (J) is the
+    gravitational energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and
+    optional parts, and ``pressing`` (J) is the work of loads along a radius.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class BalanceAudit:
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
         self._energy = EnergyAccount(bodies, uniform, held, constant, pressing)
-        booked = len(self.ledger.forces) > 0  # then even the field is booked step by step
+        booked = len(self.ledger.forces) > 0  # if so, even the work of the field is booked step by step
         self.momenta = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self.monitor = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
@@ -85,7 +85,7 @@ class BalanceAudit:
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
-        """Adopt those reference values of a recorded start that differ only by rounding; return whether there are any.
+        """Adopt the reference values of a recorded start if they differ only by rounding; return whether any does.
 
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.
@@ -114,11 +114,11 @@ class BalanceAudit:
         self.ledger = self.ledger.plus_loss(entry, -work)
 
     def exchanged(self, entry: str) -> FloatArray:
-        """Return the energy dissipated by a force without a potential so far, and the expected momenta, (7,)."""
+        """Return the energy that a force without a potential has dissipated so far, and the expected momenta, (7,)."""
         return np.array([self.ledger.entry(entry), *self.momenta.expected])
 
     def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
-        """Set the values that `exchanged` returns, after kernels have added to them."""
+        """Set the values that `exchanged` returns, after kernels have added to these values."""
         self.ledger = self.ledger.with_loss(entry, float(exchanged[0]))
         self.momenta.expected = exchanged[1:].copy()
 
@@ -138,7 +138,7 @@ class BalanceAudit:
     def measure(
         self, step: int, time: float, potentials: Mapping[str, float], roundings: int, extremes: Extremes | None
     ) -> None:
-        """Compute energy and momentum, and update the extremes of the run, if given, by their errors.
+        """Compute energy and momentum, and update the extremes of the run, if given, with the errors.
 
         For ``roundings``, see `EnergyAccount.balance`.
 
@@ -160,7 +160,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        Warnings list the copied contacts and the ones in ``contact``, which may have changed the energy.
+        Warnings list contacts that may have changed the energy: the copied ones, and the contacts in ``contact``.
         """
 
         def suspects() -> list[Suspects]:
@@ -192,11 +192,11 @@ class Bookkeeper:
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
         self.impulse_audit = world.step.audit = ImpulseAudit(bodies, world.contact) if audited else None
-        # around changes of velocities that are neither plain kicks nor impulses of contacts
+        # parts use it around changes of velocities that are neither plain kicks nor impulses of contacts
         self.change: AbstractContextManager[None] = self.impulse_audit or nullcontext()
-        self.pace: PaceMonitor | None = None  # where limits set the steps
+        self.pace: PaceMonitor | None = None  # None unless limits set the steps
         self._events: list[Event] = []
-        # s, time up to which the accuracy is promised; infinite if nothing is promised, or the end is already logged
+        # s, time up to which the accuracy is promised; infinite without a promise, or once the end is logged
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
             self._measure_contacts(world.contact, Extremes())  # without contacts, this only loads the kernels
@@ -230,10 +230,10 @@ class Bookkeeper:
         self.activity.reopen(books.phase, books.activity)
         self._events = []
         if self._is_past_the_promise(checkpoint.time):
-            self.kept_until = np.inf  # already logged
+            self.kept_until = np.inf  # the end of the promise is already logged
 
     def begin_step(self, judged: bool) -> None:
-        """Begin a step, after the clock has advanced; the contacts still belong to the step before."""
+        """Begin a step, after the clock has advanced; the contacts still belong to the previous step."""
         if judged:
             self.suspect_contacts(self._world.clock.step - 1)
         self.begin_contacts(judged)
@@ -255,7 +255,7 @@ class Bookkeeper:
             begin(clock.step, clock.before, clock.time)
 
     def finish_step(self, potentials: Potentials, computed: bool, judged: bool) -> None:
-        """Book the contacts of a step; compute energy and momentum, and judge their errors, if due."""
+        """Book the contacts of a step; if due, compute energy and momentum, and judge their errors."""
         contact = self._world.contact
         if contact:
             self._book_contacts(contact)
@@ -313,15 +313,15 @@ class Bookkeeper:
     def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum.
 
-        If ``judged``, errors enter the verdict on the run and the warnings, which list the copied contacts and the ones
-        in ``contact``. A computation for a frame alone does not change the books.
+        If ``judged``, errors enter the verdict on the run and the warnings, which list the copied contacts and the
+        contacts in ``contact``. A computation for a frame alone does not change the books.
         """
         world, clock = self._world, self._world.clock
         try:
             extremes = self.extremes if judged else None
             self.audit.measure(clock.step, clock.time, potentials, self._roundings, extremes)
         except PhysicsError:
-            # its message names the bodies
+            # its error message names the bodies
             refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)
             raise
         if judged:
@@ -337,11 +337,11 @@ class Bookkeeper:
 
     @property
     def _roundings(self) -> int:
-        """How often the velocity of a body has been rounded: the number of steps and impacts so far."""
+        """The number of roundings of a body's velocity so far: the number of steps and impacts."""
         return self._world.clock.step + self.extremes.impacts
 
     def _judge_dissipation(self, signs: SignsOfDissipation) -> None:
-        """Update the extremes by energy that contacts moved against the signs of dissipation, and warn."""
+        """Update the extremes with energy that contacts moved against the signs of dissipation, and warn."""
         scale, world = self.audit.energy.scale, self._world
         error = signs.error(scale)
         if error is not None:

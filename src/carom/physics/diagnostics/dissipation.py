@@ -1,15 +1,15 @@
 """Signs of dissipation: contacts may remove energy only as their law says.
 
-The ledger and the energy agree whatever an impulse does, so they cannot show that a contact dissipates where it should
-not. Four statements can be wrong (docs/physics.md, section 11):
+The ledger and the energy agree whatever an impulse does, so they cannot show that a contact wrongly dissipates. Four
+statements can be tested (docs/physics.md, section 11):
 
 - an impact at its own time removes ½ μ (1 - e²) v_n², no more and no less;
 - an impact that no force turns back within the step rebounds, however slow it is;
 - friction adds no energy, in an impact or to an island;
 - friction that holds does no work.
 
-Impacts are judged in every step, contacts that last in the steps of the checks. Islands are the units there, because
-the energy of a change of impulses has no unique division among the contacts of a pile.
+Impacts are judged in every step, lasting contacts in the steps of the checks. Lasting contacts are judged by island,
+because the energy of a change of impulses cannot be divided uniquely among the contacts of a pile.
 """
 
 from __future__ import annotations
@@ -53,30 +53,33 @@ WRONG = (
     "Friction that holds has changed the energy, but it does no work",
 )
 
-# Fraction of the energy of an impact, ½ μ v_n². Both sides follow from one closing speed, so they differ by rounding.
+# Tolerance as a fraction of the energy of an impact, ½ μ v_n². The actual and the required loss follow from one closing
+# speed, so they differ only by rounding.
 ROUNDED = 1e-9
-# Fraction of the magnitudes of the works in both kicks of a step; these works cancel for friction that holds. The
-# remainder is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of first order
-# in the step does not cancel at all.
+# Tolerance as a fraction of the magnitudes of the works in both kicks of a step; for friction that holds, these works
+# cancel. The remainder is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of
+# first order in the step does not cancel at all.
 CANCELLED = 0.25
 LARGEST_TURN = 0.2  # rad, largest turn of a normal in a step; islands that turn further are not judged
-ALIKE = 0.1  # relative difference of the kicks' lengths; with drag they differ, and the works cancel nevertheless
+# relative difference of the kicks' lengths; with drag the lengths differ, but the works cancel nevertheless
+ALIKE = 0.1
 SLOWEST = 1e-100  # m/s, replaces 0 for a contact of a held group that does not close
-SIGNIFICANT = 1e-6  # smallest violation, over the energy scale; sweeps that end early leave less in every extreme
+# smallest violation, relative to the energy scale; sweeps that end early leave less in every extreme scene
+SIGNIFICANT = 1e-6
 
 _ROUNDED = np.array([ROUNDED])
-_IDLE, _STUCK, _OTHER = 1, 2, 4  # behaviour of a contact in the kicks, as bits
+_IDLE, _STUCK, _OTHER = 1, 2, 4  # bits that describe a contact in the kicks
 
 
 class WrongWorkRecord(Protocol):
-    """The energy that one of the statements does not allow."""
+    """The energy that contacts moved against one of the statements."""
 
-    energy: float  # J, so far
+    energy: float  # J, energy so far
     worst: float  # J, largest violation by a single contact in a step
-    i: int  # ends of that contact
+    i: int  # ends of the contact with the largest violation
     j: int
     step: int
-    time: float  # s
+    time: float  # s, time of the largest violation
 
 
 WRONG_WORK = dtype_of(WrongWorkRecord)
@@ -85,8 +88,8 @@ WRONG_WORK = dtype_of(WrongWorkRecord)
 class HeldContacts(Protocol):
     """The behaviour of a contact in the kicks around the last drift."""
 
-    did: int  # bits
-    friction: float  # J, dissipated by friction in the first kick
+    did: int  # bits of the contact in both kicks
+    friction: float  # J, energy dissipated by friction in the first kick
 
 
 HELD = dtype_of(HeldContacts)
@@ -100,8 +103,8 @@ class JudgedEnds(NamedTuple):
     places: IntArray
     inverse_mass: FloatArray  # (n + p,) 1/kg
     bodies: int  # n
-    walls_move: bool  # walls that accelerate press bodies, too, so impacts at walls may stop
-    walls_curve: bool  # a body that follows a curved wall also closes at the end of a step
+    walls_move: bool  # whether walls move: accelerating walls press bodies, so impacts at walls may stop
+    walls_curve: bool  # whether walls curve: a body that follows a curved wall closes at the end of a step
 
 
 class SignsOfDissipation:
@@ -110,8 +113,8 @@ class SignsOfDissipation:
     Parameters
     ----------
     holds
-        Whether the friction of contacts that stick is judged: no wall and no image moves, since the slip changes with
-        their velocity, and the solver makes enough sweeps to stop the slip.
+        Whether the friction of sticking contacts is judged. This requires that no wall or image moves, since their
+        velocity changes the slip, and that the solver makes enough sweeps to stop the slip.
     planes
         The planes and walls of the run.
     """
@@ -135,7 +138,7 @@ class SignsOfDissipation:
         self.recall(())
 
     def begin(self, step: int, time: float, judged: bool) -> None:
-        """Begin a step that ends at a time (s), and state whether the energy is checked then."""
+        """Begin a step that ends at a time (s), and state whether the energy is checked at its end."""
         self._step, self._time, self.judges = step, time, judged
         if judged:
             self._held_pairs, self._held, self._kick = NO_PAIRS, np.empty(0, HELD), 0.0
@@ -178,7 +181,7 @@ class SignsOfDissipation:
     def judge_impacts(self, impacts: Impacts, dt: float, loads: RecordArray[LoadRecord]) -> None:
         """Judge the impacts during a drift of dt (s), given the loads of the bodies in the first kick.
 
-        Where walls load contacts more than accelerations do, dt is as much longer (`NearPairs.loading`).
+        If walls load contacts more than accelerations do, dt is longer by the same factor (`NearPairs.loading`).
         """
         pressed = dt, self._bodies.ends.acceleration, loads
         asked = impacts.log, self._ends, pressed, _ROUNDED, self._step, self._time, self.rows
@@ -236,7 +239,7 @@ def note_last(
     ends: JudgedEnds,
     held: RecordArray[HeldContacts],
 ) -> None:
-    """Note each contact's behaviour in the last kick, and clear its work, which is in the ledger.
+    """Note each contact's behaviour in the last kick, and clear its work, which the ledger already contains.
 
     ``last_pairs``, (m, 2), sorted, and ``last_impulse``, (m, 4) N s, are an `ImpulseCache`.
     """
@@ -306,7 +309,7 @@ def judge_impacts(
     """Compare the loss of each impact with the loss that its closing speed requires; return whether any is wrong.
 
     ``tolerance``, for each impact or for all, is the allowed error relative to ½ μ v_n².
-    The impulses of a group that is held act at one time, and their energies have a meaning only together.
+    The impulses of a held group act at one time, so only the sum of their energies has a meaning.
     """
     rows, places, inverse_mass, bodies, walls_move, _ = ends
     dt, acceleration, loads = pressed
@@ -371,10 +374,10 @@ def judge_contacts(
     now: tuple[int, float],
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
-    """Judge the contacts at the end of a step: impacts that stop, elastic ones, and the friction of each island.
+    """Judge the contacts at the end of a step: impacts that stop, elastic impacts, and the friction of each island.
 
-    Return whether anything is wrong. Islands in which an impact or a lost contact has changed the kick before the drift
-    are not judged. ``resolved`` ends with the pairs of impacts during the drift.
+    Return whether anything is wrong. An island is not judged if an impact or a lost contact has changed the kick before
+    the drift. The last element of ``resolved`` are the pairs of impacts during the drift.
     """
     pairs, place, contacts, states, struck_pairs = resolved
     step, time = now
@@ -455,7 +458,7 @@ def _turn(contact: ContactRecord, velocity: Vector, dt: float) -> float:
 
 @inline
 def _exclude(i: int, j: int, inverse_mass: FloatArray, island: IntArray, is_judged: FloatArray) -> None:
-    """Exclude the islands of two ends from being judged."""
+    """Mark the islands of two ends as not to be judged."""
     if inverse_mass[i] > 0.0:
         is_judged[root_of(island, i)] = False
     if inverse_mass[j] > 0.0:

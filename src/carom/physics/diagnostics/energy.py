@@ -3,8 +3,8 @@
     E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / √(r_ij² + ε²) - Σ m g·x
     integration error = E(t) + dissipated(t) - injected(t) - E(0)
 
-The error is relative to the energy scale: the conserved total or, if larger, the energy that the field and the spins
-exchange with it (docs/physics.md, 11).
+The error is relative to the energy scale: the conserved total or, if it is larger, the energy that the field and the
+spins exchange with this total (docs/physics.md, 11).
 """
 
 from __future__ import annotations
@@ -22,27 +22,28 @@ from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.state.energies import Energy, EnergyBaseline, Ledger, Origin
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
-CANCELLED = 1e-8  # a sum of kinetic and gravitational energy, relative to their magnitudes, that counts as 0
+CANCELLED = 1e-8  # largest sum of kinetic and gravitational energy, relative to their magnitudes, that counts as 0
 EPSILON = float(np.finfo(np.float64).eps)
 WALKS = 4.0  # standard deviations of a random walk of roundings; see `Energy.rounding`
-RESOLVED = 1e-10  # rounding, over the energy scale, that cannot be mistaken for an error
+RESOLVED = 1e-10  # largest rounding, relative to the energy scale, that cannot be mistaken for an error
 
 
 class EnergyAccount:
     """Computes the `Energy` of a state, relative to the start of the run and the largest energy scale so far.
 
-    The scale is the largest, among the checks so far and the state itself, of
+    The scale is the largest value, in the checks so far and in the state itself, of these energies:
 
     - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
-      start: the conserved total, less the energy removed by contacts and drag, plus the energy added by stabilisation;
+      start: the conserved total, minus the energy removed by contacts and drag, plus the energy added by stabilisation;
     - the energy that the other forces and the spins exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
-    - Σ m |g| r, if there is a field, and ``pressing`` (J), the same of loads: bodies that rest on a plane have no other
-      energy.
+    - Σ m |g| r, if there is a field, and ``pressing`` (J), the same energy for loads: bodies that rest on a plane have
+    no other energy.
 
     If kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
-    Speeds in E_c are relative to fixed bodies and walls, or without them to the centre of mass. E_c excludes the energy
-    between fixed bodies, ``constant`` (J). ``field``, (3,) m/s², includes the acceleration by a moving medium. With
-    ``spins_count``, the scale includes the rotational energy itself: another engine may change it without a contact.
+    Speeds in E_c are relative to fixed bodies and walls or, without these, relative to the centre of mass. E_c excludes
+    the energy between fixed bodies, ``constant`` (J). ``field``, (3,) m/s², includes the acceleration by a moving
+    medium. With ``spins_count``, the scale includes the rotational energy itself: another engine may change it without
+    a contact.
     """
 
     def __init__(
@@ -59,7 +60,7 @@ class EnergyAccount:
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
-        self._lift = float(lift) + pressing  # J, Σ m |g| r, and the work of loads over a radius
+        self._lift = float(lift) + pressing  # J, Σ m |g| r, and the work of loads along a radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(
@@ -73,7 +74,7 @@ class EnergyAccount:
         """Return the energy, given the potential energies of the forces; the first call sets the initial values.
 
         ``judged`` marks a check; the scale of later checks is at least as large. ``roundings`` is the number of steps
-        and impacts so far, each of which has rounded velocities.
+        and impacts so far, since each of these rounds velocities.
         """
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)
@@ -99,9 +100,9 @@ class EnergyAccount:
         )
         if judged and scale != known.scale:
             self.baseline = replace(known, scale=scale)
-        # each term of a sum, and each change of a velocity, is rounded up or down at random
+        # terms of a sum and changes of velocities are rounded up or down at random
         changing = translational + abs(gravitational - self._constant) + abs(external)
-        changing += rotational if ledger.friction else 0.0  # without friction, nothing has changed the spins
+        changing += rotational if ledger.friction else 0.0  # without friction, nothing changes the spins
         summed = changing + rotational + abs(self._constant) + abs(known.initial)
         walk = changing * math.sqrt(roundings) + summed * math.sqrt(1.0 + len(self._bodies))
         rounding = WALKS * EPSILON * walk

@@ -1,6 +1,6 @@
 """The energy monitor: warns if the energy rises or its error is large.
 
-A closed system cannot gain energy, so a gain is an error. A warning lists the contacts that may have caused it.
+A closed system cannot gain energy, so a gain is an error. A warning lists the contacts that may have caused the gain.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from carom.state.books import MonitorState
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph
 
-MOST_CONTACTS = 6  # most contacts that a warning lists, those with the largest added energies first
-LOST = 0.1  # error over the energy scale; one this large changes the size and the period of an orbit
+MOST_CONTACTS = 6  # most contacts that a warning lists, the largest added energies first
+LOST = 0.1  # error relative to the energy scale, large enough to change the size and the period of an orbit
 MOST_WARNINGS = 100  # most warnings of rises in a run
 
 
@@ -34,7 +34,7 @@ class Suspects:
 
     step: int
     graph: CollisionGraph
-    contributions: Callable[[], FloatArray]  # returns each contact's ledger, (m, 3) J
+    contributions: Callable[[], FloatArray]  # returns each contact's energies, (m, 3) J
     velocity: FloatArray  # (n + p, 3) m/s, velocities
     angular_velocity: FloatArray | None  # (n + p, 3) rad/s, spins; None without spins
 
@@ -51,7 +51,7 @@ class Suspects:
         return cls(step, contact.snapshots.snapshot.graph, contact.snapshots.keep_contributions(), velocity, spin)
 
     def describe(self, names: Names, units: UnitSystem) -> str:
-        """List the contacts that added most energy, with the states of their bodies."""
+        """List the contacts that added most energy, and the states of their bodies."""
         if len(self.graph) == 0:
             return f"No bodies were colliding in step {self.step}."
         ledger = self.contributions()
@@ -75,7 +75,7 @@ class EnergyMonitor:
     """Checks the energy; warns of a rise, and of an integration error that makes the run useless.
 
     A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise. A
-    rise is reported if it exceeds the ``tolerance`` times the energy scale. The integrator determines the remedy.
+    rise is reported if it exceeds ``tolerance`` times the energy scale. The remedy depends on the integrator.
     """
 
     def __init__(self, tolerance: float, names: Names, integrator: Integrator, units: UnitSystem = SI) -> None:
@@ -91,8 +91,8 @@ class EnergyMonitor:
         """Return the warnings of a check at a step.
 
         ``contact_gain`` is the largest energy that contact impulses have added so far, relative to the energy scale. A
-        warning lists the contacts of the previous and of this step, ``suspects()``. The argument is a function, because
-        copying the contacts takes as long as the rest of a check, and warnings are rare.
+        warning lists ``suspects()``, the contacts of the previous step and of this step. ``suspects`` is a function
+        because copying contacts takes as long as the rest of a check, and warnings are rare.
         """
         tally = self.tally
         lowest = tally.lowest or energy
@@ -143,7 +143,7 @@ def _rise(energy: Energy, lowest: Energy, since: float, units: UnitSystem) -> st
 
 def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
     """Return the text of a warning about the error of the energy."""
-    # after bodies have flown apart, their attraction is small
+    # if bodies have flown apart, their attraction is small
     pull = max(abs(energy.gravitational), abs(lowest.gravitational))
     what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
     error = energy.relative_error

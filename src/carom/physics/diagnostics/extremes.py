@@ -9,7 +9,7 @@ from carom.state.energies import Energy
 
 
 def add_contacts(extremes: Extremes, step: int, time: float, tally: ContactStatistics) -> None:
-    """Update by the contacts of a step."""
+    """Update the extremes with the contacts of a step."""
     if tally.impacts:
         extremes.impact = _larger(extremes.impact, tally.hardest, step, time, tally.hardest_pair)
     extremes.overlap = _larger(extremes.overlap, tally.deepest, step, time, tally.deepest_pair)
@@ -20,7 +20,7 @@ def add_contacts(extremes: Extremes, step: int, time: float, tally: ContactStati
 
 
 def add_energy(extremes: Extremes, step: int, time: float, energy: Energy) -> None:
-    """Update by the energy of a step."""
+    """Update the extremes with the energy of a step."""
     undamped, ledger = energy.undamped, energy.ledger
     extremes.energy_error = _larger(extremes.energy_error, energy.relative_error, step, time)
     extremes.energy_scale = energy.scale
@@ -37,14 +37,14 @@ def add_energy(extremes: Extremes, step: int, time: float, energy: Energy) -> No
 
 
 def add_impulse_audit(extremes: Extremes, step: int, time: float, worst: tuple[float, tuple[int, ...]]) -> None:
-    """Update by the largest error of a step's impulses, and its body."""
+    """Update the extremes with the largest error of a step's impulses, and the body that has it."""
     error, bodies = worst
     if extremes.contact_audit is None or not error <= extremes.contact_audit.value:
         extremes.contact_audit = Extreme(error, step, time, bodies)
 
 
 def add_momentum(extremes: Extremes, step: int, time: float, momentum: Momentum) -> None:
-    """Update by the momenta of a step."""
+    """Update the extremes with the momenta of a step."""
     linear, angular = momentum.linear_error, momentum.angular_error
     extremes.momentum_error = None if linear is None else _larger(extremes.momentum_error, linear, step, time)
     extremes.angular_momentum_error = (

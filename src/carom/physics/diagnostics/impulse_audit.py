@@ -4,8 +4,8 @@ For every body, in each step,
 
     Δv = Σ J/m + Σ a h,    Δω = Σ (ρ λ_t × n ± Λ) / I,    J = λ_n n + λ_t, which acts on j, and -J on i
 
-with the impulses that the contact tap reports and the kicks of the integrator. The change of the ledger is compared
-with the sum of the contacts' work. A kick is a h. Drag multiplies velocities, so its effect is measured instead.
+must hold with the impulses that the contact tap reports, and with the integrator's kicks a h. The change of the ledger
+is compared with the sum of the contacts' work. Drag multiplies velocities, so its effect is measured instead.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ class ImpulseAudit:
         bodies = self._bodies
         self._ledger = _terms(ledger)
         self._velocity, self._spin = bodies.velocity.copy(), bodies.angular_velocity.copy()
-        self.kicks: list[FloatArray] = []  # arrays (n, 3) in m/s, changes by forces in this step so far, in order
-        self._fastest = _largest(self._velocity)  # m/s
+        # arrays (n, 3) in m/s: velocity changes by forces in this step so far, in order
+        self.kicks: list[FloatArray] = []
+        self._fastest = _largest(self._velocity)  # m/s, largest speed in the step so far
 
     def add_kick(self, acceleration: FloatArray, dt: float) -> None:
         """Add a kick of (n, 3) m/s² for dt s."""
@@ -49,7 +50,7 @@ class ImpulseAudit:
         self._before = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
 
     def __exit__(self, *error: object) -> None:
-        """Add this change."""
+        """Add the change since `__enter__`."""
         velocity, spin = self._before
         self.add_force(self._bodies.velocity - velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
@@ -63,9 +64,9 @@ class ImpulseAudit:
         """Return the largest error, and the body to which it belongs, if any.
 
         Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The largest
-        speed includes the summed magnitudes of a body's kicks, and of its impulses over its mass: impulses in a heavy
-        pile may cancel, but each is rounded by itself. The change of the ledger in the step should be the sum of the
-        work of all contacts; errors are relative to its largest entry.
+        speed includes, for each body, the sum of the magnitudes of its kicks and of J/m: impulses in a heavy pile may
+        cancel, but each impulse is rounded by itself. The change of the ledger in the step should be the sum of the
+        work of all contacts; errors are relative to the largest entry of the ledger.
         """
         bodies, work = self._bodies, np.zeros((0, 3))
         if self._tap and self._contact:
@@ -94,8 +95,8 @@ class ImpulseAudit:
 class _Given:
     """Changes of the bodies by the impulses of a step."""
 
-    velocity: FloatArray  # (n, 3) m/s
-    spin: FloatArray  # (n, 3) rad/s, spins; (0, 3) where nothing spins
+    velocity: FloatArray  # (n, 3) m/s, changes of velocity
+    spin: FloatArray  # (n, 3) rad/s, changes of spin; (0, 3) if nothing spins
     speed: FloatArray  # (n,) m/s, Σ |J| / m: change of speed if all impulses had one direction
 
     @classmethod

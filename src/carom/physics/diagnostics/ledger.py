@@ -1,7 +1,7 @@
 """The energy ledger: energy that contacts and forces removed from the bodies or added to them, by term.
 
-Kernels write each term of a contact into the field of its name. Arrays of all terms have one column per term, in this
-order.
+Kernels write each term of a contact into the field with the term's name. Arrays of all terms have one column per term,
+in this order.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from carom.physics.aligned import columns
 from carom.physics.jit.decorators import inline, kernel
 from carom.state.energies import Ledger
 
-RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of arrays (m, 3) in J
+RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of arrays of terms, (m, 3) J
 
 
 class LedgerRecord(Protocol):
@@ -42,7 +42,7 @@ def clear_terms(entry: LedgerRecord) -> None:
 
 @inline
 def copy_terms(entry: LedgerRecord, to: LedgerRecord) -> None:
-    """Copy the terms of a record to another one."""
+    """Copy the terms of a record to another record."""
     to.restitution_loss, to.friction_loss = entry.restitution_loss, entry.friction_loss
     to.stabilisation_gain = entry.stabilisation_gain
 

@@ -2,13 +2,13 @@
 
     p = Σ m v,    L = Σ (m x × v + I ω)
 
-Contacts and direct gravity conserve both to round-off. A uniform field g changes them in closed form, because the
+Contacts and direct gravity conserve p and L to round-off. A uniform field g changes both in closed form, because the
 centre of mass X moves on a parabola:
 
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
 
 With drag, the impulses of the medium and the field are booked step by step instead. Planes, walls and fixed bodies
-absorb momentum; in such scenes, nothing is compared.
+absorb momentum; in such scenes, momenta are not compared.
 """
 
 from __future__ import annotations
@@ -110,12 +110,12 @@ def _add_up(
 
 @dataclass(frozen=True, slots=True)
 class Momentum:
-    """Momentum at one time and its relative errors."""
+    """Momentum and angular momentum at one time, and their relative errors."""
 
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s, angular momentum about the origin
-    linear_error: float | None  # error over the largest Σ m |v| of all checks; None if anything is fixed
-    # error over the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
+    linear_error: float | None  # error relative to the largest Σ m |v| of all checks; None if anything is fixed
+    # error relative to the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
     angular_error: float | None
 
 
@@ -130,7 +130,8 @@ class MomentumAccount:
         self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = TotalMotion.of(bodies)
         self._mass = float(bodies.mass.sum())
         moment = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0)
-        self._centre = moment / self._mass if self._mass > 0.0 else moment  # at first, all bodies may wait to enter
+        # at the start, all bodies may still wait to enter
+        self._centre = moment / self._mass if self._mass > 0.0 else moment
         self._baseline: MomentumBaseline | None = None  # None if the momentum has changed since the last access
 
     @property
@@ -154,7 +155,7 @@ class MomentumAccount:
 
     @property
     def expected(self) -> FloatArray:
-        """(6,) kg m/s and kg m²/s, the reference values of both momenta, to which a caller may add."""
+        """The reference values of both momenta, (6,) kg m/s and kg m²/s; a caller may add to them."""
         return np.concatenate((self._linear, self._angular))
 
     @expected.setter

@@ -49,7 +49,7 @@ def refuse_many_crossings(
 ) -> None:
     """Refuse a step of dt (s) in which a body would cross a periodic box more than `MOST_CROSSINGS` times.
 
-    Each factor of 10 in the crossings costs its position in the box a digit.
+    With each factor of 10 in the crossings, the position in the box loses a digit.
     """
     turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
     if turns > MOST_CROSSINGS:
@@ -64,15 +64,15 @@ def refuse_many_crossings(
 def _find_infinities(lo: int, hi: int, position: FloatArray, velocity: FloatArray, lost: BoolArray) -> None:
     """Set ``lost`` if one of the numbers [lo, hi) is not finite; NumPy would allocate three arrays for this."""
     x, v, infinities = position[lo:hi], velocity[lo:hi], 0
-    for k in range(len(x)):  # starts at 0, so that the loop is vectorised
+    for k in range(len(x)):  # the loop starts at 0, so that it is vectorised
         infinities += (x[k] - x[k] != 0.0) | (v[k] - v[k] != 0.0)  # ∞ - ∞ is NaN, which does not equal 0
     if infinities > 0:
         lost[0] = True
 
 
 STEPS_REMEMBERED = 50  # steps over which the energy of impacts is averaged
-SETTLED_BELOW = 1e-3  # energy of recent impacts, over the energy scale, below which a pile has settled
-STILL_BELOW = 1e-4  # kinetic energy, over the energy scale, above which bodies roll, slide or fall
+SETTLED_BELOW = 1e-3  # energy of recent impacts, relative to the energy scale, below which a pile has settled
+STILL_BELOW = 1e-4  # kinetic energy, relative to the energy scale, above which bodies roll, slide or fall
 
 
 class Activity:
@@ -88,7 +88,8 @@ class Activity:
         self.impact_energy = 0.0  # J, ½ μ v_n² of recent impacts
         self._bodies = bodies
         self._from_rest = from_rest
-        self._contacts: int | None = None  # contacts of the last step; None before the first of a new or resumed run
+        # number of contacts of the last step; None before the first step of a new or resumed run
+        self._contacts: int | None = None
 
     def reopen(self, phase: str, impact_energy: float) -> None:
         """Continue an earlier run."""
@@ -114,12 +115,12 @@ class Activity:
 
 @kernel
 def remembered(energy: float, impacts: float) -> float:
-    """Return the energy (J) of recent impacts after a step, given its earlier value and the energy of new impacts."""
+    """Return the energy (J) of recent impacts after a step, given the earlier energy and the energy of new impacts."""
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
 CRAWL = 5.0  # a run crawls if it takes this many times as many steps as its first step predicts
-MIN_STEPS = 50_000  # number of steps below which a run would end before a warning is useful
+MIN_STEPS = 50_000  # runs with fewer steps end before a warning is useful
 
 REMEDY = {  # the key that allows longer steps, by the limit that shortens them
     "acceleration": "time.target_dx",
@@ -136,7 +137,7 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
 
     An accuracy replaces the keys that set the step. Without forces, steps with an accuracy already have their longest
     useful length. Integrators that choose steps by their error use time.max_dt directly. Leapfrog, which computes
-    resting contacts for these integrators, uses it, too.
+    resting contacts for these integrators, also uses this key.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:
@@ -199,7 +200,7 @@ class Profile:
         self._last = now
 
     def clear(self) -> None:
-        """Discard all times so far, such as the time of the warm-up, which compiles kernels."""
+        """Discard all times so far, for example the time of the warm-up, which compiles kernels."""
         self._nanoseconds.clear()
 
     def seconds(self) -> dict[str, float]:

@@ -9,7 +9,8 @@ drift. With z = h/τ, E = e^{-z}, φ₁ = (1 - E)/z and φ₂ = (1 - φ₁)/z, a
 
 Between the two factors, velocities are the mean velocities of the drift. Contacts are held there, and impacts happen on
 straight lines along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the kicks make
-the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is its own adjoint, hence of order 2.
+the step exact for a constant acceleration; for τ → ∞, both lengths are h/2. The step is its own adjoint, hence of order
+2.
 
 The energy dissipated by the medium is the change of the energy in the step minus the work of the other forces
 (docs/physics.md, 6):
@@ -17,7 +18,8 @@ The energy dissipated by the medium is the change of the energy in the step minu
     lost = Σ ½ m (v² - w²) + κ m a·w - ½ m κ (h - κ) a²                     by the kick and the factor before the drift
     lost = Σ ½ m (w² - v²) + (h - κ) m a'·w - h m (u/τ)·w + ½ m κ (h - κ) a'²    after it
 
-with w between the factors, and κ = ½ (h φ₂ + k₂²/(h φ₂)), for which both ledger entries of a body at rest are zero.
+where w is the velocity between the factors, and κ = ½ (h φ₂ + k₂²/(h φ₂)): with this κ, both losses of a body at rest
+are zero.
 """
 
 from __future__ import annotations
@@ -74,12 +76,12 @@ class DragLaw(NamedTuple):
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
     outer: FloatArray  # (3,) m/s², u/τ plus all other accelerations that are the same for every body
-    sums: RecordArray[DragSumsRecord]  # (2,) of a step
+    sums: RecordArray[DragSumsRecord]  # (2,) sums of a step, before and after the drift
     held: FloatArray  # (1,) J, the part of the loss in a step that is due to held contacts
     against: FloatArray  # (n + p, 3) m/s², a - v/τ at the beginning of the step; 0 for planes
     slowed: FloatArray  # (n, 3) m/s, the velocities along the drift before contacts are held
-    # (7,), the exchange with the medium in the run, to which kernels add: the energy that left the bodies in J, and the
-    # momentum and angular momentum that the balance expects, in N s and N m s
+    # (7,), exchange with the medium in the run, to which kernels add: the energy (J) that left the bodies, and the
+    # momentum (N s) and angular momentum (N m s) that the balance expects
     exchanged: FloatArray
 
 
@@ -152,7 +154,7 @@ class StokesDrag(Damping):
         self._before[:] = self._bodies.ends.velocity
 
     def struck(self, step: PresentStep) -> None:
-        """Add the exchange due to impacts, and the changes of velocities that they cause besides their impulses."""
+        """Add the exchange due to impacts, and the velocity changes by impacts besides their impulses."""
         sums, ends, change = np.zeros(1, SUMS), self._bodies.ends, self._before.copy()
         state = change, ends.acceleration, ends.inverse_mass, self.uniform
         _exchange_in_impacts(step.impacts.log, step.impacts.after, *state, self._step, sums)
@@ -179,7 +181,7 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
 
 
 def _with_drag(function: Callable[..., Any]) -> Callable[[Function], Function]:
-    """Let kernels call the decorated function in place of one of `kick_drift`, where the law is a `DragLaw`."""
+    """Let kernels call the decorated function instead of its namesake in `kick_drift` if the law is a `DragLaw`."""
     return for_first(function, lambda kind: getattr(kind, "instance_class", None) is DragLaw)
 
 
@@ -310,7 +312,7 @@ def _slow_down(
     factor: float,
     total: DragSumsRecord,
 ) -> None:
-    """Multiply a velocity by a factor; add the external impulse of the factor and of the kick, and its moment."""
+    """Multiply a velocity by a factor; add the external impulse of factor and kick, and its moment."""
     px = mass * (v[i, 0] * (factor - 1.0) + outer[0] * kick)
     py = mass * (v[i, 1] * (factor - 1.0) + outer[1] * kick)
     pz = mass * (v[i, 2] * (factor - 1.0) + outer[2] * kick)

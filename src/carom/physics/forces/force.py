@@ -10,7 +10,7 @@ and a' by the force at its ends,
 
     W = Σ ½ m (a + a')·Δx
 
-which is the work of leapfrog's kicks up to a term that remains bounded. If the integrator has a solution within its
+This is the work of leapfrog's kicks, up to a term that remains bounded. If the integrator has a solution within its
 steps, Gauss–Legendre quadrature with five nodes integrates
 
     W = Σ m ∫ a·v dt
@@ -51,7 +51,7 @@ QUADRATURE = ((-_OUTER, _LIGHT), (-_INNER, _HEAVY), (0.0, 128.0 / 225.0), (_INNE
 class Force(Protocol):
     """A force that accelerates bodies."""
 
-    kind: ForceKind  # its condition in a scene, and the name of its energy term
+    kind: ForceKind  # states in which scenes the force acts, and the name of its energy term
     uniform: FloatArray  # (3,) m/s², the part of the acceleration that is the same for every body
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
@@ -90,7 +90,7 @@ class ForceLaws(NamedTuple):
     softening: float  # m
     uniform: FloatArray  # (f, 3) m/s², uniform acceleration of each force that has one, in the order of summation
     others: Parameters  # parameters of forces from installed packages, as for `add_forces`
-    damping: tuple[Any, ...]  # `Damping.law`, for `kick_before_drift`; empty without such a force
+    damping: tuple[Any, ...]  # the `Damping.law` for `kick_before_drift`; empty without a damping force
 
 
 class Damping(OptionalPart):
@@ -125,7 +125,7 @@ class PathWork(OptionalPart):
         self._work += _work(self._bodies.mass, self._before, self._after, position - self._start)
 
     def follow(self, dt: float, solution: Callable[[float], tuple[FloatArray, FloatArray]]) -> None:
-        """Add the work of a step of dt seconds, given its solution.
+        """Add the work of a step of dt seconds, given the solution within it.
 
         ``solution`` returns positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the step.
         """
@@ -146,7 +146,7 @@ class PathWork(OptionalPart):
 
 @kernel
 def _work(mass: FloatArray, before: FloatArray, after: FloatArray, displacement: FloatArray) -> float:
-    """Sum ½ m (a + a')·Δx, in J; with velocities in place of displacements, in W."""
+    """Sum ½ m (a + a')·Δx, in J; with velocities in place of displacements, the power in W."""
     work = 0.0
     for i in range(len(mass)):
         along = 0.0
@@ -169,12 +169,13 @@ class TotalForce:
         self._team = team
         self._profile = profile
         self.find_fixed()
-        # in the order in which accelerations are added
+        # required forces, in the order in which accelerations are added
         kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
         self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
         self._forces += [kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given]
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
-        self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)  # at most one
+        # at most one force is a damping
+        self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
         own = (force for force in self._forces if isinstance(force, KernelForce))
         self.path_works = [PathWork(force.kind.loss, force.write, bodies) for force in own if force.kind.loss]
@@ -189,7 +190,7 @@ class TotalForce:
         self.parts: list[OptionalPart] = [*([self.damping] if self.damping else []), *self.path_works]
 
     def find_fixed(self) -> None:
-        """Find the bodies that no force moves; a caller has changed which bodies these are."""
+        """Find the bodies that no force moves, after a caller has fixed or released bodies."""
         self._fixed = np.flatnonzero(self._bodies.ends.inverse_mass[: len(self._bodies)] == 0.0)
 
     @property
@@ -214,8 +215,8 @@ class TotalForce:
     def potentials(self) -> Potentials:
         """Return the potential energies of the present positions.
 
-        The accelerations do not change: in drift-kick-drift they belong to the middle of the step, and the choice of
-        the next step must not depend on whether an energy is requested.
+        The accelerations do not change: in drift-kick-drift, accelerations belong to the middle of the step, and the
+        choice of the next step must not depend on whether an energy is requested.
         """
         unused = np.empty_like(self._bodies.acceleration)
         return accelerate(self._forces, self._bodies.position, unused, True, Profile())

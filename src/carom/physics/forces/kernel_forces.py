@@ -1,9 +1,9 @@
 """Forces of installed packages: `BodyForce` and `PairForce` of `carom.scene.forces`, in kernels.
 
 Every kernel that sums accelerations calls `add_forces` with a tuple of records that hold the parameters, one for each
-force. The type of a record names the force and a hash of its sources. Numba compiles a kernel for each tuple of types,
-with the functions of these forces in it, and the kernel is stored on disk under these types. Without such forces the
-tuple is empty and the call compiles to nothing.
+force. The type of a record names the force and a hash of its sources. Numba compiles a kernel, with the functions of
+the forces in it, for each tuple of types, and the kernel is stored on disk under these types. Without such forces, the
+tuple is empty, and the call compiles to nothing.
 
 A body's terms are added in the order of their sources, whichever thread computes them, so all integrators and any
 number of threads give the same bits. A pair is computed twice, once for each body.
@@ -36,14 +36,14 @@ class _Compiled(NamedTuple):
     """The functions of a force, which kernels inline."""
 
     acceleration: Any  # acceleration function, or attraction of a pair
-    potential: Any  # potential function; None for a force without one
+    potential: Any  # potential function; None for a force without a potential
 
 
 _compiled: dict[str, _Compiled] = {}  # compiled functions by the first field of their records
 
 
 class KernelForce:
-    """A force of an installed package; see `Force`. `parameters` is its record, (1,), for `add_forces`."""
+    """A force of an installed package; see `Force`. `parameters` is the force's record, (1,), for `add_forces`."""
 
     def __init__(self, kind: ForceKind, parameters: Records, bodies: Bodies, box: FloatArray, team: Team) -> None:
         self.kind = kind
@@ -65,7 +65,7 @@ class KernelForce:
         return _energy(*state) if potential and self.kind.potential else 0.0
 
     def write(self, position: FloatArray, acceleration: FloatArray) -> None:
-        """Write the acceleration by this force alone; arguments as for `accelerate`."""
+        """Write the acceleration by this force alone; for the arguments see `accelerate`."""
         self.accelerate(position, acceleration, first=True, potential=False)
 
 

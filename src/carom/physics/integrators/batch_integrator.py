@@ -1,7 +1,7 @@
 """The protocol of integrators that choose their own steps and take many of them per call.
 
-`carom.registry` names the function ``make(scene, needs, bodies, uniform)`` of each. Other integrators are sequences of
-kicks and drifts, which `carom.physics.step` takes one at a time.
+`carom.registry` names the function ``make(scene, needs, bodies, uniform)`` of each such integrator. Other integrators
+are sequences of kicks and drifts; `carom.physics.step` takes their steps one at a time.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from carom.plan.features import Requirements
 from carom.scene.load import Scene
 from carom.state.checkpoint import IntegratorCheckpoint
 
-BY_LEAPFROG = -1.0  # value of ``last_dt`` where contacts came to rest and leapfrog takes over
+BY_LEAPFROG = -1.0  # value of ``last_dt`` once contacts came to rest and leapfrog took over
 
 
 class Meeting(NamedTuple):
     """Two ends that touch: bodies, or n + p for plane p."""
 
     ends: tuple[int, int]
-    rests: bool  # whether forces press the pair together so that it does not separate
+    rests: bool  # whether forces press the pair together, so that it does not separate
 
 
 class Batch(NamedTuple):
@@ -31,8 +31,8 @@ class Batch(NamedTuple):
 
     steps: int
     before: float  # s, time before the last step
-    time: float  # s, time after it
-    dt: float  # s, its length
+    time: float  # s, time after the last step
+    dt: float  # s, length of the last step
     limit: str  # the limit that set the length of the last step
     meeting: Meeting | None = None  # the pair that touches at the end, which must be resolved before the next call
 

@@ -39,7 +39,7 @@ class KickedBodies(NamedTuple):
 
 
 class DampedPath(NamedTuple):
-    """The change of velocities along a drift, as in `carom.physics.contact.events.trajectories`."""
+    """How velocities change along a drift; see `carom.physics.contact.events.trajectories`."""
 
     kick: float  # s
     damping: float  # 1/s
@@ -52,7 +52,7 @@ class DampedStep(NamedTuple):
     length: float  # s
     first_kick: float  # s
     before: float  # factor on the velocities before the drift, which turns them into mean velocities of the drift
-    after: float  # factor after the drift
+    after: float  # factor on the velocities after the drift
     last_kick: float  # s
     booked: float  # s, part of the drift for which the work of other forces is booked beforehand
     held_kick: float  # s, effective length of the first kick for held contacts
@@ -69,7 +69,7 @@ def _without_drag(function: Function) -> Function:
 
 @_without_drag
 def damped_step(damping: Any, length: float, kick: float, last_kick: float) -> DampedStep:
-    """Return a step, given its length and, without drag, its two kicks; all in s."""
+    """Return a step, given its length and the two kicks that it has without drag, in s."""
     return DampedStep(length, kick, 1.0, 1.0, last_kick, kick, kick, DampedPath(kick, 0.0, 1.0))
 
 

@@ -1,16 +1,16 @@
 """The tree: bodies sorted into nested boxes.
 
-Each box tightly encloses its bodies. It is halved in the middle of its longest side, and each half is enclosed in a
-tight box again, until a box has at most `LEAF` bodies. For bodies in a cube this is Morton's (1966) order, and the sort
-is a radix sort from the most significant bit on. The bits adapt to the bodies, so they suffice even if one body is far
-away or thousands lie close to one point. Bodies at one point form one leaf, of any size.
+Each box tightly encloses its bodies. A box is halved in the middle of its longest side, and each half gets a tight box
+again, until boxes have at most `LEAF` bodies. For bodies in a cube this is Morton's (1966) order, and the sort is a
+radix sort from the most significant bit on. The boxes adapt to the bodies, so the sort works even if one body is far
+away, or thousands lie close to one point. Bodies at one point form one leaf, of any size.
 
 The boxes are in preorder: a box, then all boxes in it. A walk continues with the next box to open a box, and with
 ``skip[box]`` to pass over it.
 
-Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest), which split a box that
-is a little too large into eight, and take a tenth to a third more time for the same error. Rejected, too: keys of 21
-bits per coordinate, which must be recomputed for bodies that share one.
+Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest), because they split a
+box that is a little too large into eight, and take a tenth to a third more time for the same error; keys of 21 bits per
+coordinate, because they must be recomputed for bodies that share a key.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
-# most bodies that a thread sorts alone; it queues half of a larger range for other threads
+# most bodies that a thread sorts alone; of a larger range, it queues half for other threads
 GRAIN = 2048
 MIN_BODIES_PER_TASK = 20_000  # bodies per copying task
 
@@ -80,7 +80,7 @@ class SortedBodies(NamedTuple):
 
 
 class BoxRanges(NamedTuple):
-    """The boxes, as in `Boxes`."""
+    """The boxes as arrays; see `Boxes`."""
 
     first: IntArray
     last: IntArray
@@ -96,9 +96,9 @@ class Boxes:
         # arrays of the sorted bodies: (3, n) m, (n,) kg, and their indices
         self.position, self.mass, self.body = np.empty((3, n)), np.empty(n), np.empty(n, np.int64)
         self.count = 0  # number of boxes
-        # sorted bodies of each box, from first to last - 1, and the next box outside it
+        # sorted bodies of each box, from first to last - 1, and the next box outside the box
         self.first, self.last, self.skip = (np.empty(self.most, np.int64) for _ in range(3))
-        self.groups = np.empty(0, np.int64)  # (g + 1,) start of each group of sorted bodies, and the last one's end
+        self.groups = np.empty(0, np.int64)  # (g + 1,) start of each group of sorted bodies, and end of the last group
         self._mass = mass
         self._team = team
         ranges = n + team.size
@@ -144,7 +144,7 @@ def _put(queue: Queue, lo: int, hi: int, box: int) -> None:
     """Put a range of bodies on the queue, with the index of its box."""
     k = atomic_add(queue.counters, PUT, 1)
     queue.begin[k], queue.box[k] = lo, box
-    atomic_store(queue.end, k, hi)  # written last: a thread that reads it finds the others written
+    atomic_store(queue.end, k, hi)  # written last: a thread that reads this value finds the others written
 
 
 @long_kernel
@@ -154,8 +154,8 @@ def _sort(
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
     A range of k bodies has space for 2 k - 1 boxes, the largest possible number. The range can therefore be sorted
-    while the number of boxes in earlier ranges is still unknown. At the first box, ``skip`` temporarily holds their
-    number, or 0 if a box was halved and its halves were queued separately.
+    while the number of boxes in earlier ranges is still unknown. At the first box of a range, ``skip`` temporarily
+    holds the number of its boxes, or 0 if a box was halved and its halves were queued separately.
 
     The function is not divided, because each call with arrays as arguments counts references in memory that all threads
     write to. With calls, the sort took 1.5 times as long.
@@ -197,7 +197,7 @@ def _sort(
                 for k in range(over - i0):
                     lower, upper = rows[half + k], spare[i0 + k]
                     lower.x, lower.y, lower.z, lower.index = upper.x, upper.y, upper.z, upper.index
-            if i0 < half < i1:  # otherwise the bodies are few, at one point, or not finite
+            if i0 < half < i1:  # otherwise, the bodies are few, or lie at one point, or are not finite
                 if i1 - i0 > np.uint64(GRAIN):
                     boxes[box] = 0
                     _put(queue, int(half), int(i1), box + 2 * int(half - i0))
@@ -228,7 +228,7 @@ def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: flo
     if bz - az > high - low:
         axis, low, high = 2, az, bz
     middle = low + 0.5 * (high - low)
-    return axis, middle if middle > low else high  # the higher of two neighbouring numbers separates them
+    return axis, middle if middle > low else high  # the higher of two neighbouring numbers separates the halves
 
 
 @long_kernel
@@ -238,7 +238,7 @@ def _put_in_order(
     """Join the boxes of all ranges; return the numbers of boxes and of groups."""
     boxes = _close_up(n, first, last, skip)
     begins[len(begins) - 1] = boxes
-    for box in range(boxes - 1, -1, -1):  # the next box outside is the largest one that begins at this one's end
+    for box in range(boxes - 1, -1, -1):  # the next box outside is the largest box that begins where this box ends
         skip[box] = begins[last[box]]
         begins[first[box]] = box
     return boxes, _group(boxes, first, last, skip, edges)
@@ -259,7 +259,7 @@ def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
 
 @kernel
 def _group(boxes: int, first: IntArray, last: IntArray, skip: IntArray, edges: IntArray) -> int:
-    """Divide the sorted bodies into groups, each the bodies of one box; return the number of groups."""
+    """Divide the sorted bodies into groups, each of which is the bodies of one box; return the number of groups."""
     groups, box = 0, 0
     while box < boxes:
         if last[box] - first[box] <= GROUP or skip[box] == box + 1:

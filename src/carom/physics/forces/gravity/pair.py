@@ -4,8 +4,8 @@
 
 Without softening, coincident bodies neither attract each other nor have a potential, since both are undefined.
 
-Each pair needs one square root and one division. A sum over pairs has the bits of these expressions, so all integrators
-and methods that sum pairs in the same order agree to the last bit. Only vector instructions have a separate form
+Each pair needs one square root and one division. All sums over pairs use these expressions, so integrators and methods
+that sum pairs in the same order agree to the last bit. Only vector instructions have a separate form
 (`fast_multipole.taylor.attract_bodies`).
 """
 
@@ -20,7 +20,7 @@ from carom.physics.jit.decorators import inline
 def attraction(gm: float, r2: float) -> float:
     """Return gm / R³: times d, the acceleration by a body with G m = ``gm``; times -R², its potential.
 
-    0 for coincident bodies without softening.
+    The result is 0 for coincident bodies without softening.
     """
     by_distance: float = gm / (r2 * np.sqrt(r2)) if r2 > 0.0 else 0.0
     return by_distance

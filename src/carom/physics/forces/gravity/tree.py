@@ -1,7 +1,7 @@
 """Gravity by a tree: distant boxes of bodies attract as a whole.
 
 `boxes` sorts the bodies into boxes. The moments of a box about its centre of mass are summed over its bodies, not over
-its halves. The sums take a twelfth of the whole evaluation and make b exact:
+its halves. These sums take a twelfth of the time, and make b exact:
 
     M = Σ m_i      X = Σ m_i x_i / M      Q = 3 Σ m_i y_i y_iᵀ      b = max |y_i|      y_i = x_i - X
 
@@ -16,9 +16,9 @@ a is -∇φ, for any softening ε. Without quadrupoles, Q = 0. The opening angle
 (measured in docs/physics.md), and the error of the total momentum, because the two forces of a pair are not opposite.
 
 The bodies of a group are in the SIMD lanes, and boxes and bodies are added one after another, so the bits depend
-neither on the SIMD width nor on the threads. Threads take the next piece of work until none is left, so all of them end
-at about the same time. Pieces assigned in advance would be uneven, because bodies in dense regions take far longer than
-others.
+neither on the SIMD width nor on the threads. Each thread takes the next piece of work until none is left, so all
+threads end at about the same time. Pieces assigned in advance would be uneven, because bodies in dense regions take far
+longer than others.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from carom.physics.jit.instructions import atomic_add, prefetch_to_read
 from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
-BOXES_PER_TASK = 64  # about 10 µs
+BOXES_PER_TASK = 64  # number of boxes for about 10 µs of work
 EXACT_UP_TO = 4  # number of bodies that are summed one by one, which is exact and about as fast as using their moments
 
 
@@ -57,7 +57,7 @@ class MomentsRecord(Protocol):
     """The moments of a box, in one cache line."""
 
     mass: float  # kg, M
-    xx: float  # kg m², of Q
+    xx: float  # kg m², components of Q
     xy: float
     xz: float
     yy: float
@@ -72,7 +72,7 @@ LANES_PER_REGISTER = 8  # float64 in the widest registers; loops over whole regi
 
 
 class BoxTree(NamedTuple):
-    """Boxes with their moments, and the bodies in their order."""
+    """Boxes with their moments, and the bodies in the order of the boxes."""
 
     boxes: int  # number of boxes; the arrays may be longer
     first: IntArray  # first body of each box
@@ -124,7 +124,7 @@ def expand(lo: int, hi: int, taken_so_far: IntArray, tree: BoxTree, theta: float
                 X += m[i] * (x[0, i] - x0)
                 Y += m[i] * (x[1, i] - y0)
                 Z += m[i] * (x[2, i] - z0)
-            if M > 0.0:  # without mass, all are test particles, and any centre will do
+            if M > 0.0:  # without mass, all bodies are test particles, and any centre will do
                 X, Y, Z = X / M, Y / M, Z / M
             X, Y, Z = x0 + X, y0 + Y, z0 + Z
             xx = xy = xz = yy = yz = zz = b2 = 0.0
@@ -211,7 +211,7 @@ def _walk(
         dy = max(y0 - centre.y, 0.0, centre.y - y1)
         dz = max(z0 - centre.z, 0.0, centre.z - z1)
         if dx * dx + dy * dy + dz * dz > centre.far_squared:
-            # saves 2 to 5 % of the time, and more if other processes use the cache
+            # prefetching saves 2 to 5 % of the time, and more if other processes use the cache
             prefetch_to_read(tree.moments, box)
             far[fars] = box
             fars += 1

@@ -6,9 +6,9 @@ Within a step of length T the acceleration of a coordinate is a polynomial in h 
     x(h) = x₀ + h T v₀ + (h T)² (a₀/2 + Σ b_k h^{k+1} / ((k+2)(k+3)))
     v(h) = v₀ + h T (a₀ + Σ b_k h^{k+1} / (k+2))
 
-that interpolates the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. The accelerations depend on the
-positions, so the coefficients are determined by iteration, starting from the extrapolated polynomial of the previous
-step. Newton's form
+The polynomial interpolates the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. The accelerations depend on
+the positions, so the coefficients are determined by iteration, starting from the extrapolated polynomial of the
+previous step. Newton's form
 
     a(h) = a₀ + g₀ h + g₁ h (h - h₁) + g₂ h (h - h₁)(h - h₂) + …
 
@@ -70,9 +70,11 @@ from carom.scene.start import half_spaces
 from carom.state.checkpoint import IntegratorCheckpoint
 
 STEP_FRACTION = 0.17506702932189996  # η
-LARGEST_CHANGE_AFTER_IMPACT = 1.5  # largest factor on the step after an impact, which had other velocities before
-MOST_CORRECTIONS = 4  # corrections to the length of a step that ends at an impact; two are enough to reach rounding
-IMPACT_ROUNDING = 2.0**-51  # of that length
+# largest growth of the step after an impact, since velocities before the impact differ
+LARGEST_CHANGE_AFTER_IMPACT = 1.5
+# most corrections to the length of a step that ends at an impact; two are enough to reach rounding
+MOST_CORRECTIONS = 4
+IMPACT_ROUNDING = 2.0**-51  # relative rounding of the length of a step that ends at an impact
 LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that shorten a step
 ERROR, CAP, FIXED, END, IMPACT = range(len(LIMITS))
 
@@ -82,7 +84,7 @@ class GaussRadau15:
 
     Without a ``fixed_dt`` (s), the error estimate sets the steps, to a fraction η of the shortest time in which an
     acceleration changes. The iterations of a step end once the residuals at the nodes are below ``tolerance`` times the
-    largest acceleration. ``solids`` are the bodies and planes that may touch; None where nothing can.
+    largest acceleration. ``solids`` are the bodies and planes that may touch; None if nothing can touch.
     """
 
     def __init__(
@@ -146,7 +148,7 @@ class GaussRadau15:
         a = motion.start + motion.field * motion.moves[:, np.newaxis]
         b = motion.accepted.reshape(*a.shape, WIDTH)[..., :TERMS]
         k = np.arange(TERMS)
-        # powers h, h²…; matrix products and `pow` have other bits on other processors
+        # powers h, h²…; written out, since matrix products and `pow` have other bits on other processors
         powers = np.cumprod(np.full(TERMS + 2, h))
         turned = dt * ((1.0 - h) * a + (b * ((1.0 - powers[1:-1]) / (k + 2))).sum(axis=-1))
         v = self._arrival - turned
@@ -225,7 +227,8 @@ def advance(
                 dt, limit = _end_at_impact(motion, solids, run, h, dt), IMPACT
             run.meets = h != NONE
             if run.meets and (h == AT_REST or not run.time + dt > run.time):
-                run.meets = run.steps == 0  # otherwise the next call returns the meeting
+                # if no step was made, this call returns the meeting; otherwise the next call does
+                run.meets = run.steps == 0
                 run.rests = h == AT_REST and run.meets
                 break
         move(motion, dt)

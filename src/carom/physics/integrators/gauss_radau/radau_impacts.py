@@ -1,11 +1,11 @@
 """The first impact within a step of Gauss–Radau integration, on the polynomials of its bodies.
 
-With d(h) the separation of two bodies (or of a body and a plane), R the distance at which they touch, f = d² - R² and
-g = d·d' = f'/2, an impact is the first h in [0, 1] at which f ≤ 0 and g < 0: they touch and close.
+Let d(h) be the separation of two bodies, or of a body and a plane, and R the distance at which they touch. With f = d²
+- R² and g = d·d' = f'/2, an impact is the first h in [0, 1] at which f ≤ 0 and g < 0: the two touch and close.
 
 All pairs are tested only after the bodies may have moved by the clearance, the smallest gap of any pair at the last
-test. The polynomials of pairs that may meet are followed from h = 0 on, in intervals that are halved until one of these
-conditions holds, with M ≥ |d''|, K ≥ |g''|:
+test. If a pair may meet, its polynomial is followed from h = 0 on, in intervals that are halved until one of these
+conditions holds, with M ≥ |d''| and K ≥ |g''|:
 
 - the chord of d stays farther from 0 than R + M w²/8, where w is the width: they do not touch
 - g stays positive by g + g' s - ½ K s²: they separate
@@ -29,9 +29,9 @@ from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, Prog
 from carom.physics.jit.decorators import inline, inner
 
 COEFFICIENTS = TERMS + 3  # coefficients of a position as a polynomial in h
-TOUCHING = 8 * 2.0**-53  # gap, relative to the coordinates and R, that is rounding
+TOUCHING = 8 * 2.0**-53  # largest gap, relative to the coordinates and R, that counts as rounding
 SLACK = 1.0 + 1e-9  # allowance for the rounding of the bounds
-NARROWEST = 2.0**-44  # fraction of a step; a shorter overlap is a grazing pass
+NARROWEST = 2.0**-44  # an overlap for a shorter fraction of a step is a grazing pass
 MOST_INTERVALS = 20_000  # most intervals; a contact that needs more is at rest, up to rounding
 REST = 1e-6  # fraction of a step: the shortest flight between impacts, at most 10⁻¹⁴ R high, near rounding
 NONE = np.inf  # no impact
@@ -68,7 +68,7 @@ def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float,
             d2, R = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
             is_clear = clearance > 2.0 * displacement and d2 > (R + clearance) * (R + clearance)
             if is_clear or moves[i] + moves[j] == 0.0:
-                continue  # this pair cannot be nearer than the nearest one
+                continue  # this pair cannot be nearer than the nearest pair so far
             gap = np.sqrt(d2) - R
             clearance = min(clearance, gap)
             if gap <= 2.0 * displacement:
@@ -91,7 +91,7 @@ def _earlier(
     i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
 ) -> float:
     """Return the earlier of two impacts, the first one so far and a pair's first one, and note the pair."""
-    v, distance = motion.velocity, R  # m, R plus the distances that both bodies move
+    v, distance = motion.velocity, R  # m, R plus the distances by which both bodies move
     for k in range(3):
         distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
     negligible = ROUNDING * distance
@@ -213,8 +213,8 @@ def _bounds(path: FloatArray) -> tuple[float, float, float]:
 def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
     """Return the first h at which bodies touch and close, `NONE` or `AT_REST`, with lengths in m.
 
-    ``path``, (COEFFICIENTS, 3), is d, ``gap`` its rounding, and ``negligible`` its change by a closing speed that is
-    due to rounding.
+    ``path``, (COEFFICIENTS, 3), is d, ``gap`` is the rounding of d, and ``negligible`` is the change of d by a closing
+    speed that is due to rounding.
     """
     fastest, M, third = _bounds(path)
     still = negligible * R
@@ -272,7 +272,7 @@ def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
 
 @inner
 def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> float:
-    """Return the change of the step in s with which a closing pair would touch at its end."""
+    """Return the change (s) of the step after which a closing pair would touch at the end of the step."""
     n = len(motion.position)
     if j < n:
         _lay_pair(motion, solids.path, i, j, dt)

@@ -1,6 +1,6 @@
 """One step of Gauss–Radau integration: its polynomial, its error estimate, and the motion to its end.
 
-`gauss_radau15` has the equations. Each number in a table is computed in exact arithmetic and rounded once.
+`gauss_radau15` has the equations. Each number in a table is computed in exact arithmetic, and rounded once.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ NODES = tuple(
 TERMS = 7  # terms b₀ to b₆ of the polynomial
 WIDTH = 8  # length of a row: the terms and a 0 fill a cache line
 LANES_FROM = 16  # number of bodies from which SIMD lanes are used
-# (τ / τ')² below which an acceleration passes through 0; on Kepler orbits up to e = 0.99 it never does
+# an acceleration passes through 0 if (τ / τ')² is below this, which never happens on Kepler orbits up to e = 0.99
 PASSING = 1.0 / 16.0
-LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step too long by more is repeated
+LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step that is too long by more is repeated
 SHRINKING = 2.0  # a step is repeated again only if the ratio of wanted to tried step has risen by this factor
-MAX_ITERATIONS = 12  # most iterations of a step; rounding keeps some from converging
-CONVERGED = 1e-16  # tolerated residual at a node over the largest acceleration: half a last bit
+MAX_ITERATIONS = 12  # most iterations of a step; rounding keeps some steps from converging
+CONVERGED = 1e-16  # tolerated residual at a node, relative to the largest acceleration: half a last bit
 # Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9, these residuals add less to
 # the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
 LONGER = ((2.0**-1.75, 1e-9), (2.0**-1.25, 1e-11), (2.0**-0.25, 1e-12))
@@ -63,11 +63,12 @@ def _table(rows: list[list[Fraction]]) -> FloatArray:
 
 POWERS = _table(_newton_to_powers())  # [k, j]: coefficient of g_k in b_j
 NODE = np.array([float(node) for node in NODES])
-# [s, k]: coefficients of b_k in the acceleration at a node, and in the position there divided by T²
+# [s, k]: coefficients of b_k in the acceleration at node s, and in the position at this node divided by T²
 ON_ACCELERATION = _table([[h ** (k + 1) for k in range(TERMS)] for h in NODES])
 ON_POSITION = _table([[h ** (k + 3) / ((k + 2) * (k + 3)) for k in range(TERMS)] for h in NODES])
 TO_DIFFERENCE = np.array([0.0] + [float(1 / prod(NODES[s] - h for h in NODES[:s])) for s in range(1, len(NODES))])
-SHIFTED = _table([[Fraction(comb(j + 1, k + 1)) for j in range(TERMS)] for k in range(TERMS)])  # [k, j], of b_j in b'_k
+# [k, j]: coefficient of b_j in b'_k
+SHIFTED = _table([[Fraction(comb(j + 1, k + 1)) for j in range(TERMS)] for k in range(TERMS)])
 
 
 class ProgressRecord(Protocol):
@@ -78,7 +79,7 @@ class ProgressRecord(Protocol):
     next_dt: float  # s
     last_dt: float  # s, length of the last step; 0 before the first
     fraction: float  # η
-    tolerance: float  # residual at a node over the largest acceleration
+    tolerance: float  # tolerated residual at a node, relative to the largest acceleration
     steps: int
     limit: int  # index into `LIMITS`
     iterations: int
@@ -100,10 +101,10 @@ class Motion(NamedTuple):
     velocity: FloatArray  # (n, 3) m/s
     position_compensation: FloatArray  # (n, 3) m, accumulated rounding errors of the positions
     velocity_compensation: FloatArray  # (n, 3) m/s
-    start: FloatArray  # (n, 3) m/s², a₀
+    start: FloatArray  # (n, 3) m/s², accelerations a₀ at the start
     there: FloatArray  # (n, 3) m/s², acceleration at a node
     at: FloatArray  # (n, 3) m, positions at a node
-    expected: FloatArray  # (n, 3) m/s², the polynomial's acceleration there
+    expected: FloatArray  # (n, 3) m/s², acceleration of the polynomial at a node
     b: FloatArray  # (3 n, 8) m/s²
     predicted: FloatArray  # (3 n, 8) m/s², b before the iterations
     accepted: FloatArray  # (3 n, 8) m/s², b of the last step
@@ -115,7 +116,7 @@ class Motion(NamedTuple):
     lanes: FloatArray  # (4, n) workspace of `accelerate`
     mass: FloatArray  # (n,) kg
     box: FloatArray  # (3,) zeros, since space is open
-    forces: Parameters  # of installed packages
+    forces: Parameters  # forces of installed packages
 
 
 def motion_of(
@@ -314,7 +315,7 @@ def move(motion: Motion, dt: float) -> None:
             c = 3 * i + k
             position_sum, velocity_sum = 0.0, 0.0
             for j in range(TERMS - 1, -1, -1):
-                # divides, since rounded reciprocals would cause a drift
+                # a division, since rounded reciprocals would cause a drift
                 position_sum += b[c, j] / ((j + 2) * (j + 3))
                 velocity_sum += b[c, j] / (j + 2)
                 motion.correction[c, j] = b[c, j] - motion.predicted[c, j]
@@ -388,9 +389,9 @@ def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, 
 def tolerance(refinement: float) -> float:
     """Return the residual at a node, relative to the largest acceleration, at which iterations end.
 
-    Steps that are `refinement` times as long as usual have larger errors than that. Long steps therefore take little
-    more than the two iterations of usual steps, instead of up to eight. With steps of 1.4, 2, 2.8 and 4 times the usual
-    length, 1000 orbits of eccentricity 0.3 take 0.64, 0.59, 0.52 and 0.36 of the time with usual steps; with iterations
-    to rounding 1.1, 1.0, 0.85 and 0.75.
+    Steps that are `refinement` times as long as usual have larger errors than this residual. Long steps therefore take
+    few more iterations than the two of usual steps, instead of up to eight. With steps of 1.4, 2, 2.8 and 4 times the
+    usual length, 1000 orbits of eccentricity 0.3 take 0.64, 0.59, 0.52 and 0.36 of the time with usual steps. If
+    iterations went on to rounding, the times would be 1.1, 1.0, 0.85 and 0.75.
     """
     return next((residual for below, residual in LONGER if refinement < below), CONVERGED)

@@ -1,10 +1,10 @@
 """Divergence of two nearby orbits under Gauss–Radau integration.
 
-The twin takes the same steps as the orbit. The polynomials of both differ as little as the orbits, so the twin starts
-its iterations from the coefficients that the orbit had before its last iteration. With a single iteration, the twin
-costs a third of a separate run. The error of their distance is less than a hundredth, but very eccentric orbits then
-diverge too fast: with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a
-separate run and has its own rounding errors, so that their distance measures the error by rounding.
+The twin takes the same steps as the orbit. The polynomials differ as little as the orbits do, so the twin starts its
+iterations from the coefficients that the orbit had before its last iteration. With a single iteration, the twin costs a
+third of a separate run. The error of the distance between twin and orbit is less than a hundredth, but very eccentric
+orbits then diverge too fast: with e = 0.999, by a factor of 10³⁰ in 13 orbits. A twin that iterates until it converges
+costs as much as a separate run. It has rounding errors of its own, so the distance then measures the error by rounding.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from carom.plan.auto import largest_step
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
-FIRST_FRACTION = 1e-3  # the first trial step, as a fraction of the duration
+FIRST_FRACTION = 1e-3  # first trial step, as a fraction of the duration
 MOST_AT_ONCE, PAIRS_AT_ONCE = 500, 200_000  # most steps in a call, and most pairs: 1 ms for two bodies, 5 ms for 100
-CONVERGES = MAX_ITERATIONS  # iterations of a twin
+CONVERGES = MAX_ITERATIONS  # value for a twin that iterates until it converges
 
 GoesOn = Callable[[int, float], bool]
 
@@ -64,7 +64,7 @@ class TwinRule(NamedTuple):
     """Conditions under which the comparison of orbits with their twins ends; see `diverge`."""
 
     max_dt: float  # s
-    enough: float  # m, distance from the orbit at which a twin ends
+    enough: float  # m, distance from the orbit at which the comparison with a twin ends
     iterations: int
 
 
@@ -72,7 +72,7 @@ class FollowedOrbits(NamedTuple):
     """The orbits of bodies without contacts, up to the time where the comparison ended."""
 
     times: FloatArray  # (K,) s
-    path: FloatArray  # (K, n, 3) m, infinite beyond
+    path: FloatArray  # (K, n, 3) m, positions; infinite where not known
     steps: int
     known: int  # number of times up to which positions are known
 
@@ -94,8 +94,8 @@ def diverge(
 ) -> tuple[FollowedOrbits, FloatArray]:
     """Integrate the bodies of a scene without contacts, and their twins; return the orbits, and the twins' distances.
 
-    The rms distances, (K,) m, are given at ascending times (s). Beyond the first that is ``enough`` (m), both results
-    are infinite.
+    The rms distances, (K,) m, are given at ascending times (s). After the first distance that is ``enough`` (m), both
+    results are infinite.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def diverge(
     iterations
         Number of the twin's iterations in each step; `CONVERGES` for as many as it needs.
     goes_on
-        Called after every `MOST_AT_ONCE` steps, or fewer of many bodies, with the iterations since the last call and
+        Called after every `MOST_AT_ONCE` steps, or fewer for many bodies, with the iterations since the last call and
         the time in s; if it returns False, both integrations end.
     """
     return _follow(scene, start, refinement, times, goes_on, _motion(scene, start, twin), enough, iterations)

@@ -33,18 +33,18 @@ C3 = tuple(float(Fraction((-1) ** j, factorial(3 + 2 * j))) for j in range(TERMS
 C2_0, C2_1, C2_2, C2_3, C2_4, C2_5, C2_6 = C2
 C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
 CONVERGED = 1e-5  # relative step of X after which the error of fourth order is below rounding
-PATIENCE = 8  # steps after which every other one is a bisection, since steps down an exponential are short
-MAX_STEPS = 150  # most steps, half of them bisections, of which about 60 suffice
-NEARLY = 1e-8  # relative step of X, like `CONVERGED`, but for a last step of second order
+PATIENCE = 8  # number of steps after which every second step is a bisection, since steps down an exponential are short
+MAX_STEPS = 150  # most steps; half of them are bisections, of which about 60 suffice
+NEARLY = 1e-8  # relative step of X after which a last step of second order is enough; compare `CONVERGED`
 LANES = 64  # bodies in SIMD lanes
 WIDEST = 8  # most numbers in a vector on any processor
 # First columns of the arrays in the workspace: positions in m, velocities in m/s, μ, positions and velocities at the
-# end, and whether two steps for the anomaly were enough. They share one array, so that the compiler knows that they do
-# not overlap.
+# end, and whether two steps for the anomaly were enough. All columns share one array, so that the compiler knows that
+# they do not overlap.
 X, Y, Z, VX, VY, VZ, MU, END_X, END_Y, END_Z, END_VX, END_VY, END_VZ, ENOUGH = range(0, 14 * LANES, LANES)
-WORKSPACE = 14 * LANES  # numbers
+WORKSPACE = 14 * LANES  # numbers in the workspace
 TWO_PI = 6.283185307179586  # rad
-WIDER = 1.01  # times the period: the bracket of a time within one period, with room for rounding
+WIDER = 1.01  # bracket of a time within one period, in periods, with room for rounding
 
 
 @inner
@@ -59,7 +59,7 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
     c3 = C3_0 + z * (C3_1 + z * (C3_2 + z * (C3_3 + z * (C3_4 + z * (C3_5 + z * C3_6)))))
     c1 = 1.0 - z * c3
     c0 = 1.0 - z * c2
-    for _ in range(quarters):  # to twice the anomaly
+    for _ in range(quarters):  # doubles the anomaly
         c3 = 0.25 * (c2 + c0 * c3)
         c2 = 0.5 * c1 * c1
         c1 = c0 * c1
@@ -91,7 +91,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     s = t * over_r
     bend = 0.5 * s * over_r * eta
     if abs(bend) < 0.5:
-        s *= 1.0 - bend  # a starting value to second order in t
+        s *= 1.0 - bend  # starting value, accurate to second order in t
     if s > high:
         s = 0.5 * high
     g0, g1, g2, g3 = 1.0, 0.0, 0.0, 0.0
@@ -105,7 +105,8 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
         halley = -late / (d1 + 0.5 * newton * d2)
         step = -late / (d1 + 0.5 * halley * (d2 + halley * d3 * (1.0 / 3.0)))
         if abs(newton) <= CONVERGED * s:
-            # the functions at the new anomaly, by their derivatives G'_k = G_{k-1}; the remainder is below rounding
+            # the functions at the new anomaly follow from their derivatives G'_k = G_{k-1}; the remainder is below
+            # rounding
             third = step * (1.0 / 3.0)
             g3 += step * (g2 + 0.5 * step * (g1 + third * g0))
             g2 += step * (g1 + 0.5 * step * (g0 - third * beta * g1))
@@ -114,7 +115,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
         if late <= 0.0:
             low = s
         else:
-            high = s  # or an overflow
+            high = s  # the anomaly is too large, or overflows
         further = s + step
         if not low < further < high or (trial > PATIENCE and trial % 2 == 0 and high < np.inf):
             further = 0.5 * (low + high) if high < np.inf else 2.0 * s
@@ -147,7 +148,7 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
             lanes[X + k], lanes[Y + k], lanes[Z + k] = x[i, 0], x[i, 1], x[i, 2]
             lanes[VX + k], lanes[VY + k], lanes[VZ + k] = direction * v[i, 0], direction * v[i, 1], direction * v[i, 2]
             lanes[MU + k] = mu[i]
-        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a remainder would be computed one by one
+        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # padded, since a remainder would be computed one by one
         for k in range(count, padded):
             for row in range(X, MU + 1, LANES):
                 lanes[row + k] = lanes[row]
@@ -175,7 +176,8 @@ def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
         zeta = mu - beta * r
         s = t * over_r
         bend = 0.5 * s * over_r * eta
-        s *= 1.0 - bend + (2.0 * bend * bend - s * s * over_r * zeta * (1.0 / 6.0))  # a start to third order in t
+        # starting value, accurate to third order in t
+        s *= 1.0 - bend + (2.0 * bend * bend - s * s * over_r * zeta * (1.0 / 6.0))
         # the first step
         square = s * s
         z = beta * square
@@ -188,7 +190,7 @@ def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
         d2 = eta * g0 + zeta * g1
         newton = late / d1
         s += late / (d1 + 0.5 * newton * d2)
-        # the second one
+        # the second step
         square = s * s
         z = beta * square
         w = z * z

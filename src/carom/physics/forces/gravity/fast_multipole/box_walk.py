@@ -2,18 +2,18 @@
 
 A walk begins with the pair of the whole tree and itself, and decides on each pair of boxes A, B:
 
-1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless the boxes have at most
-   `FEW_PAIRS` pairs of bodies, which are as fast.
-2. Otherwise, if they have at most `MANY_PAIRS` pairs of bodies, or are both leaves, their bodies attract each other one
+1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless the boxes have so few
+pairs of bodies (`FEW_PAIRS`) that summing these is as fast. 2. Otherwise, if they have at most `MANY_PAIRS` pairs of
+bodies, or are both leaves, their bodies attract each other one
    by one.
 3. Otherwise, the box with the larger radius is halved.
 
-These decisions do not depend on which of the two boxes is A. The forces on both are therefore opposite, exactly for
-single pairs of bodies and up to rounding for boxes, and momentum is conserved.
+These decisions do not depend on which of the two boxes is A. The forces on A and B are therefore opposite, exactly for
+single pairs of bodies and up to rounding for boxes, so momentum is conserved.
 
 A walk descends from the whole tree to the bodies of one branch. Each box A on the way starts from its parent's local
-expansion, moved to X_A, decides on the boxes B that its parent left undecided, and adds their contributions. All sums
-for a body are therefore made by one thread, in the order of the walk.
+expansion, moved to X_A. Then A decides on the boxes B that its parent left undecided, and adds their contributions. All
+sums for a body are therefore made by one thread, in the order of the walk.
 
 Rejected: leaves of 32 bodies that are never halved (in a cluster they need twice the pairs, because large, sparse
 leaves are near its dense centre); radii weighted by mass, (r_A + r_B) (M/M_total)^{1/8} (0.8 of the time in a ball, but
@@ -51,7 +51,7 @@ from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.vectors import WIDTH as LANES
 
-FEW_PAIRS = 128  # pairs of bodies that take as long as a pair of boxes
+FEW_PAIRS = 128  # number of pairs of bodies that take as long as a pair of boxes
 MANY_PAIRS = 1024  # most pairs of bodies; 512 and 2048 are as fast at equal error
 
 
@@ -62,7 +62,7 @@ class BoxRecord(Protocol):
     y: float
     z: float
     radius: float  # m, r
-    first: int  # its first sorted body
+    first: int  # first sorted body of the box
     last: int  # end of the range of the box's bodies
     half: int  # the box of the second half; the first half follows this box. 0 for a leaf
     skip: int  # the next box outside this box
@@ -84,7 +84,7 @@ ENTRY = dtype_of(EntryRecord)
 
 
 class MultipoleBoxes(NamedTuple):
-    """Boxes with their multipoles, and the bodies in their order."""
+    """Boxes with their multipoles, and the bodies in the order of the boxes."""
 
     branches: RecordArray[RangeRecord]  # first box of each branch
     boxes: RecordArray[BoxRecord]
@@ -108,7 +108,7 @@ class MultipoleSums(NamedTuple):
 
     acceleration: FloatArray  # (n, 3) m/s²
     potential: FloatArray  # (n,) J/kg
-    needed: IntArray  # (threads,) set to 1 where ``left`` is too small; the sums are then incomplete
+    needed: IntArray  # (threads,) set to 1 if ``left`` is too small for a thread; the sums are then incomplete
 
 
 class WalkBuffers(NamedTuple):
@@ -136,7 +136,7 @@ def walk(
     buffers: WalkBuffers,
     sums: MultipoleSums,
 ) -> None:
-    """Write acceleration and potential of the bodies of all branches, ``count`` of them.
+    """Write acceleration and potential of the bodies in all ``count`` branches.
 
     Each of the threads [lo, hi) takes the next branch until none is left; ``taken_so_far``, (1,), counts the branches.
     """
@@ -180,7 +180,7 @@ def walk(
                     fars += 1
                 _add_far(fars, depth, a, tree, law, own)
             half = boxes[a].half
-            if a < branch:  # above the branch; a box this large always leaves its own halves undecided
+            if a < branch:  # box a is above the branch; such a large box always leaves its own halves undecided
                 entry = entries[0]
                 entry.box = half if branch >= half else a + 1
                 entry.begin, entry.end, entry.depth = end, last, depth + 1
@@ -308,7 +308,7 @@ def _add_near(
         if is_over:
             evaluate(local, depth, A.x, A.y, A.z, law.unit, lanes)
         k = 0
-        while k < nears:  # adjacent boxes at once
+        while k < nears:  # adjacent boxes are summed at once
             j0, j1 = boxes[near[k]].first, boxes[near[k]].last
             k += 1
             while k < nears and boxes[near[k]].first == j1:

@@ -5,12 +5,12 @@ up, and `box_walk` decides which boxes attract each other as a whole:
 
     M = Σ m_i      X = Σ m_i x_i / M      r ≥ max |x_i - X|      M_m: see `taylor`
 
-The multipoles of a leaf are summed over its bodies, the multipoles of other boxes over their halves. A box of up to
-`BRANCH` bodies has the exact radius r, a larger one the bound that follows from its halves.
+The multipoles of a leaf are summed over its bodies, the multipoles of other boxes over their halves. For a box of up to
+`BRANCH` bodies, the radius r is exact; for a larger box, r is a bound that follows from its halves.
 
 The opening angle determines the error (measured in docs/physics.md). Momentum is conserved to rounding at any opening
-angle. The bits are the same on any processor and number of threads. In a ball, an error of 10⁻⁴ takes half as long as
-with the tree (`tree`, where boxes attract bodies). For errors above 3 × 10⁻³ the tree is faster.
+angle. The bits are the same on any processor and number of threads. In a ball, an error of 10⁻⁴ takes half the time of
+the tree (`tree`, in which boxes attract bodies). For errors above 3 × 10⁻³, the tree is faster.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def describe(
 ) -> tuple[int, int]:
     """Write the bodies and halves of all boxes; return the numbers of branches and of boxes above them.
 
-    Each of the ``branches`` is a range of boxes: the largest box of at most `BRANCH` bodies, and all boxes in it. The
-    ``trunk`` has the boxes above them as ranges of one, the innermost first.
+    Each of the ``branches`` is a range of boxes: a largest box of at most `BRANCH` bodies, and all boxes in it. The
+    ``trunk`` has the boxes above the branches, each as a range of one box, the innermost first.
     """
     found = above = 0
     for b in range(count):
@@ -110,8 +110,8 @@ def expand(
 ) -> None:
     """Write centre, radius and multipoles of the boxes of ``count`` ranges, from the last box of each to the first.
 
-    Each of the threads [lo, hi) takes the next range until none is left; ``taken_so_far``, (1,), counts them. ``unit``
-    (1/m) is a factor of lengths, and ``powers_of`` a buffer, (threads, POLES), for v^n / n!.
+    Each of the threads [lo, hi) takes the next range until none is left; ``taken_so_far``, (1,), counts the ranges.
+    ``unit`` (1/m) is a factor of lengths, and ``powers_of`` a buffer, (threads, POLES), for v^n / n!.
     """
     x, m, boxes, poles, powers = tree.x, tree.m, tree.boxes, tree.poles, powers_of[lo]
     powers[0] = 1.0
@@ -136,7 +136,7 @@ def expand(
                 weight = poles[box.half, MASS]
                 M = poles[b + 1, MASS] + weight
                 X, Y, Z = weight * (other.x - x0), weight * (other.y - y0), weight * (other.z - z0)
-            if M > 0.0:  # without mass, all are test particles, and any centre will do
+            if M > 0.0:  # without mass, all bodies are test particles, and any centre will do
                 X, Y, Z = X / M, Y / M, Z / M
             X, Y, Z = x0 + X, y0 + Y, z0 + Z
             box.x, box.y, box.z = X, Y, Z
@@ -219,7 +219,8 @@ class FastMultipoleGravity:
         self._expand(branches, self._branches, tree, unit)
         self._expand(above, self._trunk, tree, unit)
         poles[-1] = 0.0
-        poles[-1, CENTRE : CENTRE + 3] = nested.position[:, 0] + 8.0 / unit  # far from all boxes
+        # the box without mass is far from all boxes
+        poles[-1, CENTRE : CENTRE + 3] = nested.position[:, 0] + 8.0 / unit
         law = MultipoleLaw(self._constant, self._softening_squared, self._angle_squared, unit)
         sums = MultipoleSums(acceleration, self._potential, self._needed)
         while True:

@@ -7,16 +7,17 @@ n_x! n_y! n_z!. For a box B with the centre of mass X_B, and a target at u from 
     L_k = Σ_m D_{k+m}(X_A - X_B) M_m                     |k| + |m| ≤ p        (local expansion)
     Σ_j m_j ψ = Σ_k L_k u^k / k!                         a = G ∇, φ = -G times this sum
 
-The same pairs (k, m) appear in the force of B on A and in the force of A on B, so the two are opposite up to rounding
-(Dehnen, 2002). M_m = 0 for |m| = 1, because X_B is the centre of mass; a row of multipoles holds X_B there.
+The same pairs (k, m) appear in the force of B on A and in the force of A on B, so the two forces are opposite up to
+rounding (Dehnen, 2002). M_m = 0 for |m| = 1, because X_B is the centre of mass; in a row of multipoles, X_B takes their
+place.
 
 D_n follows from ψ^{(s)} = (-1)^s (2s-1)!! (d² + ε²)^{-s-1/2} by D^{(s)}_{n+e} = d_e D^{(s+1)}_n + n_e D^{(s+1)}_{n-e}
 (McMurchie & Davidson, 1978).
 
 The instructions process eight boxes or bodies at a time, one per lane of a vector, with every operation of the series
 written out: 728 products for the pairs (k, m). One pair of boxes takes 54 ns on a core with AVX-512. A loop over a
-table of the products would take 1.5 times as long, because it loads and stores each sum for each product. Such a loop
-is the plain form, one box or body at a time.
+table of the products would take 1.5 times as long, because it loads and stores each sum for each product. The plain
+form is such a loop, for one box or body at a time.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from carom.physics.vector import Vector
 
 Index = tuple[int, int, int]
 
-ORDER = 6  # order p; at equal error, 5 is slower for errors below 1e-3, and 7 is as fast only below 1e-4
+ORDER = 6  # order p; at equal error, order 5 is slower for errors below 1e-3, and order 7 is as fast only below 1e-4
 ZERO: Index = (0, 0, 0)
 AXES: tuple[Index, ...] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
@@ -91,8 +92,9 @@ MOVE_LOCAL = np.array(
 )
 
 
-# The plain forms use tables of what the instructions write out: the sums (k, k + m, m) of a local expansion, the steps
-# (s, n; axis, lower, second, factor) to the derivatives D^{(s)}_n, and the multi-indices needed for a gradient.
+# The plain forms use tables where the instructions write everything out: tables of the sums (k, k + m, m) of a local
+# expansion, the steps (s, n; axis, lower, second, factor) to the derivatives D^{(s)}_n, and the multi-indices needed
+# for a gradient.
 TERMS = np.array(
     [
         (_PLACE[k], _PLACE[_sum(k, m)], _PLACE[m])
@@ -106,7 +108,8 @@ RAISED = np.array([[_PLACE[_sum(k, axis)] for k in _POLES] for axis in AXES])
 
 def _step(n: Index) -> tuple[int, Index, int]:
     """Return the axis e of the last factor of D_n, the index n that is lower by one along e, and n_e of this index."""
-    axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))  # 1 needs no second term
+    # an axis with n = 1 needs no second term
+    axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))
     lower = _difference(n, AXES[axis])
     return axis, lower, lower[axis]
 
@@ -152,8 +155,8 @@ def _attract_one_by_one(
 def attract(code: Code, poles: Any, boxes: Any, at: Any, point: Any, unit: Any, eps2: Any, sums: Any) -> None:
     """Add the local expansions of eight boxes about a point (m), each to its own lane of ``sums``, (LOCAL × LANES,).
 
-    ``poles``, (k, POLES), are the multipoles of all boxes, and ``boxes`` indices, of which the eight from ``at`` on are
-    used. ``unit`` (1/m) is a factor of lengths; ``eps2`` is the softening squared in these units.
+    ``poles``, (k, POLES), are the multipoles of all boxes, and ``boxes`` has indices; the eight indices from ``at`` on
+    are used. ``unit`` (1/m) is a factor of lengths; ``eps2`` is the softening squared in these units.
     """
     builder, chosen, total = code.builder, code.element("boxes", at), code.element("sums", 0)
     rows = [code.element("poles", code.load(chosen, lane), 0) for lane in range(LANES)]
@@ -259,7 +262,7 @@ def _attract_bodies_one_by_one(
 
 @instruction(_attract_bodies_one_by_one, begin="int64", end="int64", eps2="float64")
 def attract_bodies(code: Code, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> None:
-    """Add the gravity of the bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
+    """Add the gravity of the bodies [begin, end) to eight other bodies, pair by pair; a body does not attract itself.
 
     ``x`` is (3, n) m. ``lanes``, (7, LANES), has rows `X` to `PHI`; results are added to the sums.
     """
