@@ -123,7 +123,7 @@ class Flight(NamedTuple):
 
 
 class FewBodies:
-    """Takes the steps of a world in which nothing touches; `arguments` are the kernel's, except for the clock."""
+    """Takes the steps of a world in which nothing touches; `arguments` are the kernel's, without the clock."""
 
     def __init__(self, world: World, timestep: Timestep) -> None:
         forces, chosen = world.forces.laws, integrator(world.scene)

@@ -1,13 +1,13 @@
-"""The stages of contacts in the kernel of few bodies, where nothing touches: gaps that stay open.
+"""The stages of contacts in the kernel of few bodies, if nothing touches: gaps that stay open.
 
 `carom.physics.few_bodies` calls these functions in each step, with the contacts of the step as the first argument.
 Here this argument is an empty tuple. `carom.physics.contact.events.steady_contacts` has forms of the functions for
 contacts that last.
 
-All gaps must stay larger than rounding and than a fall from rest in one step, within which `contact.pipeline` searches
-for contacts. Paths are straight, so two bodies approach each other by at most |v_j - v_i| dt; with drag, v is the mean
-velocity of the drift. All pairs and planes are tested again only after the bodies may have moved by half the smallest
-gap.
+All gaps must stay larger than rounding, and larger than a fall from rest in one step: within that distance,
+`contact.pipeline` searches for contacts. Paths are straight, so two bodies approach each other by at most |v_j - v_i|
+dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested again only after the bodies may have
+moved by half the smallest gap.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from carom.physics.rotation import rotate_one
 from carom.physics.vector import is_periodic, minimum_image, square
 
 NEAR = 2.0 * TOUCHING  # gap relative to the sum of radii; twice the largest gap of touching bodies
-ROUNDING = 2.0**-46  # relative to the coordinates: 64 times their last digit; the search allows for four of these
+# rounding relative to the coordinates: 64 times their last digit; the search allows for four last digits
+ROUNDING = 2.0**-46
 GRAIN = 2.0**-50  # relative to the coordinates: more than the rounding of a drift
-BOX_FRACTION = 0.25  # fraction of the smallest side; bodies may move this far before they are tested again
+BOX_FRACTION = 0.25  # fraction of the smallest side of the box; bodies may move this far before they are tested again
 FAR = 1e150  # m, smallest gap if there are no pairs
 
 
@@ -58,25 +59,25 @@ class KeptState(NamedTuple):
 class TotalsRecord(Protocol):
     """Totals of the steps, to be added to the books, and values of the last step that the next step needs."""
 
-    restitution: float  # J, this and the next two as in `Ledger`
+    restitution: float  # J, terms of the `Ledger`: this field and the next two
     friction: float
     stabilisation: float
-    held_restitution: float  # J, this and the next two in the first kick of the step
+    held_restitution: float  # J, terms of the first kick of the step: this field and the next two
     held_friction: float
     held_stabilisation: float
     impact_energy: float  # J, energy of recent impacts before the last step; see `Activity`
-    deepest: float  # largest overlap of the run over the smaller radius
+    deepest: float  # largest overlap in the run, relative to the smaller radius
     deepest_i: int
     deepest_j: int
     deepest_step: int  # step of the deepest overlap; 0 if it was before these steps
-    deepest_time: float  # s
+    deepest_time: float  # s, time of the deepest overlap
     most: int  # largest number of contacts in a step of the run
     most_step: int  # step with the most contacts; 0 if it was before these steps
-    most_time: float  # s
-    contacts: int  # sum over these steps
+    most_time: float  # s, time of the step with the most contacts
+    contacts: int  # sum of the numbers of contacts in these steps
     last_kick: float  # s, length of the last kick in which contacts were held; 0 if they carry no impulses
     last_dt: float  # s
-    sweeps: int  # of the last step
+    sweeps: int  # number of sweeps in the last step
 
 
 Room = tuple[float, float, float]
@@ -88,7 +89,7 @@ Totals = RecordArray[TotalsRecord]  # (1,)
 
 
 def _without_contacts(function: Function) -> Function:
-    """Let kernels call a function where the first argument is an empty tuple."""
+    """Let kernels call a function if the first argument is an empty tuple."""
     return for_first(function, lambda contacts: not hasattr(contacts, "fields"))(function)
 
 
@@ -151,7 +152,7 @@ def resolve(contacts: Any, totals: Totals, damped: DampedStep) -> bool:
 
 @_without_contacts
 def rotate(contacts: Any, orientation: FloatArray, spins: FloatArray, dt: float) -> None:
-    """Rotate the bodies by the spins at the beginning of a step of dt s, given the present ones, (n, 3) rad/s."""
+    """Rotate the bodies by the spins at the beginning of a step of dt s, given the present spins, (n, 3) rad/s."""
     for i in range(len(orientation)):
         rotate_one(i, orientation, spins, dt)
 
@@ -168,15 +169,15 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
     for i in range(len(velocity)):
         v2, a2 = square(velocity, i), square(acceleration, i)
         v2_max, a2_max = max(v2_max, v2), max(a2_max, a2)
-        rest += (v2 - v2) + (a2 - a2)  # 0 or NaN
+        rest += (v2 - v2) + (a2 - a2)  # adds 0, or NaN if an input is not finite
     return np.sqrt(v2_max) + rest, np.sqrt(a2_max)
 
 
 @inner
 def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
-    """Return the smallest gap (m), 0 if any may close to the skin in a drift of dt s, and the drift's rounding."""
+    """Return the smallest gap (m), 0 if a gap may close to the skin in dt s, and the drift's rounding."""
     radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset
-    size = 0.0  # m, of the coordinates
+    size = 0.0  # m, size of the coordinates
     for i in range(len(x)):
         size = max(size, radius[i], abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
     for p in range(len(offset)):

@@ -22,7 +22,7 @@ class Stepper(Protocol):
 
     @property
     def previous_dt(self) -> float:
-        """The step (s) from which the next one follows."""
+        """The step (s) from which the next step follows."""
 
     @property
     def first_dt(self) -> float:
@@ -58,8 +58,8 @@ class Stepper(Protocol):
 class PromisedStepper:
     """Advances a world by the steps that keep an accuracy until the promise ends, then by ordinary steps.
 
-    A step ends where the promise does (``until``, s). A checkpoint at that time therefore belongs to the accurate
-    stepper, and any later one to the ordinary stepper, which ``ordinary`` makes when needed.
+    A step ends where the promise ends (``until``, s). A checkpoint at that time therefore belongs to the accurate
+    stepper, a later checkpoint to the ordinary stepper, which ``ordinary`` makes when it is needed.
     """
 
     def __init__(self, clock: Clock, until: float, accurate: Stepper, ordinary: Callable[[], Stepper]) -> None:
@@ -73,7 +73,7 @@ class PromisedStepper:
 
     @property
     def previous_dt(self) -> float:
-        """The step (s) from which the next one follows."""
+        """The step (s) from which the next step follows."""
         return self._present.previous_dt
 
     @property
@@ -83,7 +83,7 @@ class PromisedStepper:
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint | None:
-        """A copy of the integrator's state besides the bodies, of the kind that the whole recording has."""
+        """A copy of the integrator's state besides the bodies, in the same form during the whole run."""
         carried = self._accurate.checkpoint
         if carried is None or not self._is_over:
             return carried
@@ -135,7 +135,7 @@ class PromisedStepper:
 def without_accuracy(scene: Scene) -> Scene:
     """Return a scene without its promise: with ordinary steps, as after the promise has ended.
 
-    Impacts keep their exact times, and an integrator that chooses its own steps stays, since its state is recorded.
+    Impacts keep their exact times. An integrator that chooses its own steps is kept, since its state is recorded.
     """
     time = scene.time.model_copy(update={"accuracy": None})
     timing = scene.contact.model_copy(update={"timing": "time-of-impact"}) if scene.contact.enabled else scene.contact

@@ -1,7 +1,7 @@
 """The calls of the reference engine: one body and one collision, in vector form.
 
-``Space.compute_dynamics`` and ``Space.get_body_data_for_display`` are methods of the space. `CollisionContext` does the
-same for a pair as `contact.solver.impacts.resolve_impacts`, in readable form; tests compare the two:
+``Space.compute_dynamics`` and ``Space.get_body_data_for_display`` are methods of the space. `CollisionContext` resolves
+a pair like `contact.solver.impacts.resolve_impacts`, but in readable form; tests compare the two:
 
     v_n = (v_j - v_i)·n                              normal velocity, negative on approach
     J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)
@@ -34,22 +34,22 @@ class BodyProxy:
 
     @property
     def position(self) -> FloatArray:
-        """(3,) m."""
+        """Position of the centre, (3,) m."""
         return self._row(self._bodies.position)
 
     @property
     def velocity(self) -> FloatArray:
-        """(3,) m/s."""
+        """Velocity, (3,) m/s."""
         return self._row(self._bodies.velocity)
 
     @property
     def angular_velocity(self) -> FloatArray:
-        """(3,) rad/s; unused zeros if the scene requires no spin."""
+        """Angular velocity, (3,) rad/s; unused zeros if the scene requires no spin."""
         return self._row(self._bodies.angular_velocity) if self.spins else np.zeros(3)
 
     @property
     def orientation(self) -> FloatArray:
-        """(4,) xyzw."""
+        """Orientation as a quaternion, (4,) xyzw."""
         orientations = self._bodies.orientation
         return self._row(orientations) if len(orientations) else np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -70,12 +70,12 @@ class BodyProxy:
 
     @property
     def inverse_mass(self) -> float:
-        """1/kg; 0 for a fixed body."""
+        """Inverse mass in 1/kg; 0 for a fixed body."""
         return float(self._bodies.ends.inverse_mass[self.index])
 
     @property
     def inverse_inertia(self) -> float:
-        """1/(kg m²); 0 for a fixed body."""
+        """Inverse moment of inertia in 1/(kg m²); 0 for a fixed body."""
         return float(self._bodies.ends.inverse_inertia[self.index])
 
     @property
@@ -113,7 +113,7 @@ class CollisionContext:
     n_vec: FloatArray  # (3,) unit vector from b1 to b2
     r1_vec: FloatArray  # (3,) m, from the centre of b1 to the contact point
     r2_vec: FloatArray  # (3,) m, from the centre of b2 to the contact point
-    v_rel: FloatArray  # (3,) m/s, velocity of b2's contact point relative to b1's
+    v_rel: FloatArray  # (3,) m/s, velocity of b2's contact point relative to b1's contact point
     overlap: float  # m
 
     @classmethod

@@ -6,8 +6,8 @@ Sine and cosine are Taylor series on [-π/4, π/4] after a reduction by multiple
 any machine. The error is below 2.3 × 10⁻¹⁶ for θ up to 10⁵ (tests/physics/test_rotation.py). A larger θ is first
 reduced modulo 2π; the rounding of 2π adds an error of θ × 4 × 10⁻¹⁷.
 
-Bodies are rotated in blocks, by successive short loops without branches, which LLVM vectorises: 9.5 ns a body instead
-of 23 in one loop, with the same bits (10⁴ bodies, the fastest of 400 calls).
+Bodies are rotated in blocks, by successive short loops without branches, which LLVM vectorises: a body takes 9.5 ns,
+instead of 23 ns in one loop, with the same bits (10⁴ bodies, the fastest of 400 calls).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from carom.physics.jit.team import SOLO, Team
 HALF_PI_HIGH = 1.57079632673412561417
 HALF_PI_LOW = 6.07710050650619224932e-11
 TWO_PI = 6.28318530717958647693
-LARGEST = 1e5  # rad; larger angles have a count above 2¹⁶
+LARGEST = 1e5  # rad, largest angle in the reduction; larger angles have a count above 2¹⁶
 TWO_OVER_PI = 0.63661977236758134308
 
 MIN_BODIES_PER_TASK = 1000
-BLOCK = 64  # bodies
+BLOCK = 64  # bodies in a block
 
 
 @inline

@@ -1,6 +1,6 @@
 """The schedule of a run: the steps with a frame, the steps with a check of errors, and the end.
 
-No step depends on a schedule. The last step of a run always has a frame and a check.
+Steps do not depend on schedules. The last step of a run always has a frame and a check.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from carom.physics.world import Clock
 
-Schedule = Callable[[int, float, float], bool]  # step, the times before and after it → whether it is scheduled
+Schedule = Callable[[int, float, float], bool]  # step, times before and after the step → whether the step is scheduled
 
-MULTIPLE_TOLERANCE = 1e-9  # relative difference of a time from a multiple of the frame interval that is ignored
+MULTIPLE_TOLERANCE = 1e-9  # relative difference between a time and a multiple of the frame interval that is ignored
 
 
 class Watch(ABC):
@@ -34,7 +34,7 @@ class Watch(ABC):
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """The first step at or after each multiple of an interval (s); 0 means every step."""
+    """A schedule of the first step at or after each multiple of an interval (s); 0 means every step."""
 
     interval: float
 
@@ -52,7 +52,7 @@ class Every:
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """A list of steps."""
+    """A schedule that lists steps."""
 
     steps: tuple[int, ...]  # in ascending order
 
@@ -69,7 +69,7 @@ class At:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """No frame. Steps taken in one call end with the first one that reaches or passes a time (s)."""
+    """A schedule without frames: steps taken in one call end with the first step that reaches or passes a time (s)."""
 
     time: float
 
@@ -84,7 +84,7 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """Every k-th step, and whenever another schedule is due."""
+    """A schedule of every k-th step, and of all steps of another schedule."""
 
     steps: int
     others: Schedule
@@ -120,8 +120,8 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 def looks_before(schedule: Schedule) -> bool:
     """Return whether a schedule may read the state before each step.
 
-    Schedules of this module do not read the state. Any other schedule may read it, so a call that takes many steps ends
-    before the step that is due.
+    Schedules of this module do not read the state. Any other schedule may read the state, so a call that takes many
+    steps ends before a scheduled step.
     """
     return not isinstance(schedule, Every | At | Pause)
 
@@ -134,18 +134,18 @@ def _multiples(time: float, interval: float) -> float:
 class Goal(NamedTuple):
     """The end and the schedules of a run."""
 
-    end: float  # s, of the run
+    end: float  # s, end of the run
     schedule: Schedule  # steps after which a frame is due
     checks: Schedule  # steps after which the errors are judged
     most: int  # largest number of steps
     shows_end: bool = True  # whether a frame is due after the last step
 
     def is_reached(self, clock: Clock) -> bool:
-        """Whether the last step has a frame, because the schedule has one there or the run ends."""
+        """Whether the last step has a frame, because the schedule requests a frame or the run ends."""
         return self.schedule(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def is_check(self, clock: Clock) -> bool:
-        """Whether the last step has a check of errors, because `checks` has one there or the run ends."""
+        """Whether the last step has a check of errors, because `checks` requests one or the run ends."""
         return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def quiet(self, clock: Clock) -> tuple[float, float]:

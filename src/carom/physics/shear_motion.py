@@ -1,4 +1,4 @@
-"""A sheared box in a step: moving images, wrapped bodies, and contacts that last in the flow."""
+"""A sheared box in a step: moving images, wrapped bodies, and lasting contacts in the flow."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ShearMotion(OptionalPart):
         self._shear.begin(step.before)
 
     def arrive(self, step: PresentStep) -> None:
-        """Place the images at the end of the step, where contacts are found and resolved."""
+        """Place the images at the end of the step, since contacts are found and resolved there."""
         self._shear.begin(step.time)
 
     def wrap(self, step: PresentStep) -> None:
@@ -55,10 +55,11 @@ class ShearedContacts(OptionalPart):
     def __init__(self, contacts: ContactPipeline) -> None:
         assert contacts.world.shear is not None, "see `carom.plan.step_parts`"
         self._contacts, self._shear = contacts, contacts.world.shear
-        self._flow = contacts.world.flow(float(contacts.bodies.radius.max()))  # m/s²
+        # m/s², acceleration with which the flow may close contacts
+        self._flow = contacts.world.flow(float(contacts.bodies.radius.max()))
 
     def load(self, dt: float) -> None:
-        """Let contacts rest that close by the flow."""
+        """Let contacts be at rest if only the flow closes them."""
         solver, closing = self._contacts.solver, PER_STEP * self._flow * dt  # m/s
         for speeds in (solver.rest_speed, solver.load_speed):
             np.maximum(speeds, closing, out=speeds)

@@ -5,29 +5,30 @@ L, image k along the gradient has at the time t the position and the velocity
 
     x + k (L_y ŷ + s x̂),    v + k γ L_y x̂,    s = γ L_y t
 
-with s less whole lengths L_x. A body that leaves the box through a face along y enters it through the other one as its
-image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. Its velocity relative to the flow, v - γ y x̂,
-does not change.
+where whole lengths L_x are subtracted from s. A body that leaves the box through a face along y enters through the
+other face as its image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. Its velocity relative to
+the flow, v - γ y x̂, does not change.
 
 Within a step, the paths of bodies and of their images are straight lines, with different velocities. Times of impact
 are found for each image that comes near (`time_of_impact.first_of_images`), and an impact has the velocity relative to
 the image. Bodies are wrapped at the end of the step.
 
-An impact with an image that has the velocity w relative to its body, and the impulse J on it, changes the energy of
-both bodies by the dissipated energy, and by the work -J·w. Together with the change of Σ ½ m v² by wrapping, this is
-the work of the shear, which the ledger books as an entry, with the sign of a loss. The momentum that bodies gain by
-wrapping is added to the expected momentum. In coordinates that the shear carries along,
+Let w be the velocity of an image relative to its body, and J the impulse on it in an impact. The impact changes the
+energy of both bodies by the dissipated energy, and by the work -J·w. This work and the change of Σ ½ m v² by wrapping
+are together the work of the shear, which the ledger books as an entry, where a loss is positive. The momentum that
+bodies gain by wrapping is added to the expected momentum. In coordinates that the shear carries along,
 
     x' = x - (s/L_y) y
 
-the images form a grid at rest, and bodies move only relative to the flow. The broad phase searches there, within
-distances multiplied by the largest stretch of x ↦ x' and of the flow within a step (`ShearedBox.stretch`).
+the images form a grid at rest, and bodies move only relative to the flow. The broad phase searches in these
+coordinates, within distances multiplied by the largest stretch of x ↦ x' and of the flow within a step
+(`ShearedBox.stretch`).
 
-Contacts that last are resolved at the end of a step, at the places of the images there. Records of contacts then have a
-field for w, so that the solver finds impulses by velocities relative to the image, and their work is booked like the
-work of an impact. A packing in the flow is never at rest: the relative velocity of two neighbours, γ d for centres at a
-distance d, changes by its own size within 1/γ. A contact is at rest if it closes at most twice as fast as the
-acceleration γ² d makes it close in a step.
+Contacts that last are resolved at the end of a step, at the places of the images at that time. Records of contacts then
+have a field for w, so that the solver finds impulses from velocities relative to the image, and the work of these
+impulses is booked like the work of an impact. A packing in the flow is never at rest: the relative velocity of two
+neighbours, γ d for centres at a distance d, changes by its own size within 1/γ. A contact is at rest if it closes at
+most twice as fast as the acceleration γ² d could make it close in a step.
 
 Numba compiles the functions below for each type of the box, an array of sizes or the record of a sheared box, and for
 each type of a contact, with or without w.
@@ -50,7 +51,7 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Bodies
     from carom.scene.schema.shear import Shear
 
-ENTRY = "shear"  # name of the ledger entry, with the sign of a loss: -W
+ENTRY = "shear"  # name of the ledger entry, which is -W because a loss is positive
 
 
 class ShearedBoxRecord(Protocol):
@@ -61,7 +62,7 @@ class ShearedBoxRecord(Protocol):
     rate: float  # 1/s, γ
     depth: float  # m, size of the box along the gradient
     speed: float  # m/s, velocity of the next image along the gradient
-    shift: float  # m, displacement of that image along the flow as the step begins, or when its contacts are found
+    shift: float  # m, displacement of the next image along the flow, as the step begins or when contacts are found
     period_x: float  # m, size along the other axes; `ENDLESS` along the gradient
     period_y: float
     period_z: float
@@ -83,7 +84,7 @@ class ShearedBox:
         # (1,), for kernels
         self.record = np.array([(*axes, shear.rate, self._depth, speed, 0.0, *periods, 0.0)], SHEARED_BOX)
         self._impulse = 0.0  # N s, impulse along the flow by wrapping
-        self._work = 0.0  # J, by wrapping
+        self._work = 0.0  # J, work of the shear by wrapping
 
     def begin(self, time: float) -> None:
         """Place the images at a time (s), as a step begins or as its contacts are found."""
@@ -100,7 +101,7 @@ class ShearedBox:
         return cast(FloatArray, self.record)
 
     def relative(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
-        """Return velocities relative to the flow at some positions, (n, 3) m/s."""
+        """Return velocities relative to the flow at ``position``, (n, 3) m/s."""
         relative = velocity.copy()
         relative[:, self._flow] -= self.rate * position[:, self._gradient]
         return relative
@@ -116,7 +117,7 @@ class ShearedBox:
         return self.rate * self.rate * diameter
 
     def add_work(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
-        """Book the work of the shear by the impulses of contacts, (m,) each; they may be the same records."""
+        """Book the work of the shear by impulses of contacts; both arguments, (m,), may be the same records."""
         self._work += _work_of_contacts(contacts, impulses)
 
     def add_work_of_corrections(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
@@ -223,7 +224,7 @@ def along_image(contact: ImageVelocity, Jx: float, Jy: float, Jz: float) -> floa
     return Jx * contact.image_x + Jy * contact.image_y + Jz * contact.image_z
 
 
-# Forms for a sheared box, or for a contact with w; the functions that kernels call follow, with the other form.
+# Forms for a sheared box, or for a contact with w; below them are the functions that kernels call, with the other form.
 
 
 def _nearest(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
@@ -267,7 +268,7 @@ def is_sheared(box: Any) -> bool:
 
 @with_field("shift", lambda box: (box[0].period_x, box[0].period_y, box[0].period_z))
 def periods(box: Any) -> Vector:
-    """Return the size of a periodic box in m; of a sheared one `ENDLESS` along the gradient."""
+    """Return the size of a periodic box in m; of a sheared box, `ENDLESS` along the gradient."""
     return box[0], box[1], box[2]
 
 
@@ -296,7 +297,7 @@ def add_work(box: Any, work: float) -> None:
 
 @with_field("image_x", _slope_of_image)
 def slope_of_image(contact: object, slope: float, Jx: float, Jy: float, Jz: float) -> float:
-    """Add J·w to a sum of impulses times velocities in J; the velocities of bodies do not contain w."""
+    """Add J·w to a sum of impulses times velocities in J; since the velocities of bodies do not contain w."""
     return slope
 
 

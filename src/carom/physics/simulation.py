@@ -57,14 +57,14 @@ class StepStatus(NamedTuple):
 
     @property
     def energy_error(self) -> float:
-        """|integration error| over the energy scale."""
+        """|integration error|, relative to the energy scale."""
         return self.energy.relative_error
 
 
 class Simulation:
     """A scene in motion, given its stepper; `Space` documents the parameters.
 
-    Only one thread may step a simulation. Other threads may meanwhile only read ``status`` and call ``stop``.
+    Only one thread may step a simulation. Meanwhile, other threads may only read ``status`` and call ``stop``.
 
     Errors are judged at the first step at or after each multiple of `check_interval` (s), at every
     ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does not
@@ -185,7 +185,7 @@ class Simulation:
         return self.state.acceleration.copy()
 
     def begin_as(self, start: Checkpoint) -> None:
-        """Measure errors against the references of a recorded start, whose rounding may differ."""
+        """Measure errors relative to the references of a recorded start, whose rounding may differ."""
         if self._books.audit.refer_to(start.books):
             self._books.measure(self._world.forces.potentials(), judged=True)
             self._publish()
@@ -195,8 +195,8 @@ class Simulation:
     ) -> Iterator[Frame]:
         """Step until a time, by default the end of the scene, and yield the frames requested by ``record.every``.
 
-        The first frame is the present state, and the last one the state at the end. Frames change neither the steps nor
-        the verdict. A stopped run is also checked at its end, after its last frame.
+        The first frame is the present state, the last frame is the state at the end. Frames change neither the steps
+        nor the verdict. A stopped run is also checked at its end, after its last frame.
 
         Parameters
         ----------
@@ -205,7 +205,7 @@ class Simulation:
         store
             Memory for the arrays of the frames; without it, each frame owns its arrays.
         schedule
-            Steps after which frames are yielded; by default those of ``record.every``.
+            Steps after which frames are yielded; by default the steps of ``record.every``.
 
         Raises
         ------
@@ -239,13 +239,13 @@ class Simulation:
         self._stopping = False
 
     def approach(self, time: float, most: int, *, ends_there: bool) -> None:
-        """Take one step, or up to ``most`` steps in one call, up to a time (s), without frames and checks."""
+        """Take one step, or ``most`` steps in one call, but not beyond a time (s), without frames and checks."""
         end = time if ends_there else self.scene.time.duration
         self._advance(Goal(end, at(()) if ends_there else Pause(time), at(()), most, shows_end=False))
 
     @property
     def contact_work(self) -> tuple[int, int, int]:
-        """Contacts of the last step, the iterations that held them, and the impacts in it."""
+        """Numbers of contacts in the last step, of the iterations that held them, and of the impacts in the step."""
         contact = self._contact
         return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
@@ -315,7 +315,7 @@ class Simulation:
     def without_impacts(self, torque: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
         """Keep only the torques of lasting contacts in copies of the last step's arrays, (n, 3) N m and rad/s².
 
-        Return the angular impulses of the impacts of the step, (n, 3) N m s, which may not be written to.
+        Return the angular impulses by impacts in the step, (n, 3) N m s, as an array that must not be modified.
         """
         turns = self._contact.turns_of_impacts if self._contact and len(torque) else None
         if turns is None:
@@ -325,9 +325,9 @@ class Simulation:
         return turns.sum
 
     def _publish(self) -> None:
-        """Replace the status that other threads read; they get either the previous or the new one."""
+        """Replace the status that other threads read; other threads get either the previous or the new status."""
         clock, contacts = self._world.clock, self._contact.statistics.contacts if self._contact else 0
-        # a plain tuple: a named tuple takes 0.2 µs to create, and a step of a few bodies takes 8 µs
+        # a plain tuple, since a named tuple takes 0.2 µs to create, and a step of a few bodies takes 8 µs
         self._published = (clock.step, clock.time, clock.dt, clock.limit, contacts, self._books.audit.energy)
 
     def _advance(self, goal: Goal) -> bool:

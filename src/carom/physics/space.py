@@ -28,7 +28,7 @@ ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 class Space(Simulation):
     """A simulation of a scene, with the public calls of the reference engine and more.
 
-    Only one thread may step a space. Other threads may meanwhile only read ``status`` and call ``stop``.
+    Only one thread may step a space. Meanwhile, other threads may only read ``status`` and call ``stop``.
 
     Parameters
     ----------
@@ -37,9 +37,9 @@ class Space(Simulation):
     threads
         Threads for the kernels, by default one per core. The bits do not depend on it.
     start
-        Initial states of the bodies, by default those that the scene places.
+        Initial states of the bodies, by default as the scene places them.
     stride
-        Largest factor on the scene's steps, as far as the method allows, for a coarse look-ahead. `foreseen` counts the
+        Largest factor on the scene's steps, for a coarse look-ahead; the method may allow less. `foreseen` counts the
         scene's own steps.
     record_contacts
         Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
@@ -113,7 +113,7 @@ class Space(Simulation):
     def kicks(self) -> list[FloatArray]:
         """Return the changes of the velocities by forces in the last step, in order, each (n, 3) m/s.
 
-        Empty unless the scene sets ``expect.contact_audit``.
+        The list is empty unless the scene sets ``expect.contact_audit``.
         """
         audit = self._books.impulse_audit
         return [] if audit is None else audit.kicks
@@ -124,7 +124,7 @@ class Space(Simulation):
         Parameters
         ----------
         iteration
-            Number of the step; the energy is checked at every ``record.check_every``-th.
+            Number of the step; the energy is checked at every ``record.check_every``-th step.
 
         Raises
         ------
@@ -141,8 +141,8 @@ class Space(Simulation):
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Torques (N m) and angular accelerations (rad/s²) are due to contacts that last, as in a `Frame`. Where the
-        scene requires no orientations or torques, they are the identity and zeros.
+        Torques (N m) and angular accelerations (rad/s²) are due to contacts that last, as in a `Frame`. If the scene
+        requires no orientations or torques, the result has the identity and zeros.
         """
         state, n, needs = self.state, len(self.state), self.requirements
         orientation = state.orientation if needs.orientation.modelled else np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
@@ -157,11 +157,11 @@ class Space(Simulation):
         return self._books.energy_now(self._world.forces.potentials())
 
     def momentum(self) -> FloatArray:
-        """Σ m v, (3,) kg m/s."""
+        """Total momentum Σ m v, (3,) kg m/s."""
         return self._books.audit.momentum_now(self.time).linear
 
     def angular_momentum(self) -> FloatArray:
-        """Σ (m x × v + I ω) about the origin, (3,) kg m²/s."""
+        """Total angular momentum Σ (m x × v + I ω) about the origin, (3,) kg m²/s."""
         return self._books.audit.momentum_now(self.time).angular
 
     def highlights(self) -> tuple[Event, ...]:

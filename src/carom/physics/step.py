@@ -25,17 +25,17 @@ from carom.registry import load, names
 from carom.state.checkpoint import Checkpoint
 
 WARM_UP_STEPS = 3
-STICKING = "friction"  # the limit of a step that ends where a contact stops sliding or rolling
-# Fraction of a step: the length of the first step in contact, whose friction is not known. A contact that sticks within
-# it makes an error that is smaller than usual by the square.
+STICKING = "friction"  # name of the limit of a step that ends when a contact stops sliding or rolling
+# Fraction of a step: the length of the first step in contact, whose friction is not known. If a contact sticks within
+# this step, the error is smaller than usual by the square of the fraction.
 FIRST_IN_CONTACT = 1.0 / 64.0
 
 
 class KickDriftStepper:
     """Advances a world by kicks, drifts and contacts, one step at a time, and keeps its books.
 
-    ``timestep`` chooses the steps. If ``timestep`` allows longer steps than the scene, ``asked`` chooses the scene's
-    own steps.
+    ``timestep`` chooses the steps. If ``timestep`` allows longer steps than the scene does, ``asked`` chooses the
+    scene's own steps.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:
@@ -49,10 +49,10 @@ class KickDriftStepper:
         self._kicks = world.needs.accelerates and not world.hooks.kick_before
         self._wraps = world.is_periodic and not world.hooks.wrap
         self._flight = FewBodies(world, timestep) if asked is None and can_fly(world) else None
-        # the accuracy that contacts which stick within a step must keep; None without one
+        # accuracy that must be kept if contacts stick within a step; None if none is requested
         self._sticks_within = world.scene.time.accuracy if world.scene.promise and world.contact else None
         self._is_first = False  # whether contacts carry no impulses yet
-        self._advance_steadily: Callable[[Goal], bool] | None = None  # few bodies in contact
+        self._advance_steadily: Callable[[Goal], bool] | None = None  # takes many steps of few bodies in contact
         if self._flight and world.contact and self._hooks.move and "steady-steps" in names("model"):
             steady = load("model", "steady-steps")(world, books, timestep, self._flight)
             self._advance_steadily = steady.advance if steady else None
@@ -63,7 +63,7 @@ class KickDriftStepper:
 
     @property
     def previous_dt(self) -> float:
-        """The step (s) from which the next one is averaged: smoothed, and not cut at the end of a run."""
+        """The step (s) that enters the average for the next step: smoothed, and not cut at the end of a run."""
         return self.timestep.previous
 
     @property
@@ -78,7 +78,8 @@ class KickDriftStepper:
 
     def warm_up(self, dt: float) -> None:
         """Take a few steps of dt seconds without booking them; they also compute the initial accelerations."""
-        for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # a single step loads the kernels
+        # otherwise a single step, which loads the kernels
+        for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):
             self._step(dt, with_potential=False)
         if self._flight:
             self._flight.take(0.0, np.inf, np.inf, most=0)  # loads the kernel
@@ -125,7 +126,7 @@ class KickDriftStepper:
         return due
 
     def _time_to_stick(self, contact: ContactPipeline, tolerance: float) -> float:
-        """Return the latest time (s) of a step's end before a contact stops sliding or rolling within the step."""
+        """Return the latest time (s) at which a step may end, so that no contact stops sliding or rolling within it."""
         is_first, self._is_first = self._is_first and len(contact.contacts) > 0, False
         dt = self.timestep.first(self._world.bodies, self.supported_acceleration())
         if is_first:
@@ -173,7 +174,7 @@ class KickDriftStepper:
         """Take a step; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(1, clock.time, *self._choose(goal.end))
-        due, judged = goal.is_reached(clock), goal.is_check(clock)  # a schedule is called for every step
+        due, judged = goal.is_reached(clock), goal.is_check(clock)  # schedules must be called for every step
         books.begin_step(judged)
         world.profile.mark("timestep")
         potentials = self._step(clock.dt, with_potential=due or judged)
@@ -215,8 +216,8 @@ class KickDriftStepper:
         """Take a step of dt seconds; return the potential energies at its end if requested.
 
         Overlaps are corrected after the last drift, so that forces belong to the final positions. The reference engine
-        corrects overlaps at the end of the step. There, the forces then belong to other positions, the next kick is not
-        central, and angular momentum drifts by overlap × force, unless forces are computed twice.
+        (docs/validation.md) corrects overlaps at the end of the step. Unless forces are computed twice, they then
+        belong to other positions, the next kick is not central, and angular momentum drifts by overlap × force.
         """
         world, contact, hooks, step = self._world, self._world.contact, self._hooks, self._now
         potentials: Potentials = {}
@@ -235,7 +236,7 @@ class KickDriftStepper:
                 contact.hold(step)
                 world.profile.mark("resting")
             self._drift(step)
-            if is_last and contact:  # at the final positions
+            if is_last and contact:  # the contacts at the final positions
                 self._refuse_infinities()
                 contact.find(step)
             for travelled in hooks.travelled:

@@ -8,13 +8,14 @@ time √(r³/(G M)), M = m_i + m_j. With Plummer's R² = r² + ε², these combi
 
 (Pelupessy, Jänes & Portegies Zwart 2012 use the shorter of the two.) A step of η τ, with τ at its start, would be
 longer before an encounter than after it, and the energy would drift. Half of the change of τ in the step is therefore
-added, as in their method: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, so the steps along an orbit
-are the same in both directions of time. At an eccentricity of 0.999, 20 orbits then conserve their energy to 5 × 10⁻¹¹;
-without the correction, to 10⁻⁶.
+added, as by Pelupessy et al.: to first order, h = η τ / (1 - η τ'/2) is the mean of the values at both ends, so the
+steps along an orbit are the same in both directions of time. At an eccentricity of 0.999, 20 orbits then conserve their
+energy to 5 × 10⁻¹¹; without the correction, to 10⁻⁶.
 
 With more than `PAIRS_UP_TO` bodies, single pairs are not examined. If the acceleration a of a body is due to a single
-neighbour of mass m, this neighbour is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾). For a body in the
-common field of many others, this time is shorter than necessary. Softening ε bounds the time from below by √(ε/a).
+neighbour of mass m, the neighbour is at the distance r = √(G m/a), and the two fall together in the time (G m)^¼
+a^(-¾). For a body in the common field of many others, this time is shorter than necessary. Softening ε bounds the time
+from below by √(ε/a).
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
     """Return the largest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:
         return np.inf
-    alone = np.sqrt(np.sqrt(mean / largest) / largest)  # square roots of squares: same bits in powers of two
+    # square roots of square roots scale exactly with powers of two, so the bits stay the same
+    alone = np.sqrt(np.sqrt(mean / largest) / largest)
     step: float = fraction * max(alone, np.sqrt(softening / largest))
     return step
 
@@ -47,10 +49,11 @@ def step_of_pairs(
 ) -> float:
     """Return h of the pair with the shortest τ; infinite if no pair attracts."""
     soft2 = softening * softening
-    fastest, change = 0.0, 0.0  # 1/τ², 1/s²; τ'/τ, 1/s
+    fastest, change = 0.0, 0.0  # 1/τ² in 1/s², and τ'/τ in 1/s
     for i in range(len(m) - 1):
         for j in range(i + 1, len(m)):
-            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:  # neither attracts the other
+            # neither body attracts the other
+            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:
                 continue
             R2, v2, along = soft2, 0.0, 0.0
             for k in range(3):
@@ -68,7 +71,7 @@ def step_of_pairs(
     return step / max(SHORTEST_MEAN, 1.0 - 0.5 * step * change)
 
 
-BODIES_PER_BLOCK = 1000  # about 10 µs
+BODIES_PER_BLOCK = 1000  # bodies for about 10 µs of work
 SUPPORTED_FRACTION = 0.5  # a body is held if contacts support at least this fraction of its acceleration
 END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into the previous one
 
@@ -80,16 +83,16 @@ class RuleRecord(Protocol):
     """The limits of the steps."""
 
     max_dt: float  # s
-    cfl: float  # limits; 0 for no limit, also below
+    cfl: float  # `cfl`, 0 for no limit, like the other limits below
     by_fastest_body: bool  # whether only the fastest body limits the step
     target_dx: float  # m
     held_dx: float  # m, replaces ``target_dx`` for bodies held by lasting contacts
-    held_part: float  # largest motion of a held body in a step, over its radius
+    held_part: float  # largest motion of a held body in a step, divided by its radius
     smoothing: float  # weight of the new step in the moving average
     anchored: bool  # whether anything is fixed; speeds are then relative to it
     measures_bodies: bool  # whether a limit needs the largest values of all bodies
     gravity_fraction: float  # η, the step as a fraction of the shortest time scale of gravity
-    examines_pairs: bool  # whether that is the time scale of a pair, rather than of the largest acceleration
+    examines_pairs: bool  # whether the shortest time scale is that of a pair, rather than of the largest acceleration
     constant: float  # m³/(kg s²), G
     softening: float  # m
     mean: float  # m³/s², G times the mean mass
@@ -104,7 +107,7 @@ class LimitsRecord(Protocol):
     largest_acceleration: float  # m/s²
     largest_free_acceleration: float  # m/s², largest acceleration of bodies not held by contacts
     largest_supported: float  # m/s², largest acceleration supported by contacts
-    velocity_step: float  # s, smallest dt_v of all bodies; infinite if all are at rest
+    velocity_step: float  # s, smallest dt_v of all bodies; infinite if all bodies are at rest
     fastest_step: float  # s, dt_v of the fastest body
     fastest_squared: float  # m²/s², squared speed of the fastest body
     held_time: float  # s, shortest time in which a held body moves by its radius
@@ -117,9 +120,10 @@ LIMITS = dtype_of(LimitsRecord)
 def smooth_and_cut(
     dt: float, limit: int, smoothing: float, previous: float, remaining: float
 ) -> tuple[float, int, float]:
-    """Smooth a step that grows, and cut the last one; return the step, its limit, and the new average, times in s.
+    """Smooth a step that grows, and cut the last step; return the step (s), its limit, and the new average (s).
 
-    ``smoothing`` is the weight of the new step in the average. ``previous`` is the average so far, 0 if there is none.
+    ``smoothing`` is the weight of the new step in the average. ``previous`` is the average so far, or 0 before the
+    first step.
     """
     if 0.0 < previous < dt:
         dt, limit = previous + smoothing * (dt - previous), limit if smoothing == 1.0 else GROWTH
@@ -145,7 +149,7 @@ def target(
 
     ``supported``, (n + p,) m/s², are the accelerations that contacts support; it is empty if there are none. The
     acceleration that all bodies share, ``field``, (3,) m/s², is left out. ``limits`` has a row for each block of
-    bodies; the rows are filled here unless they ``are_known``.
+    bodies; they are filled here unless they ``are_known``.
     """
     R, (x, v, _, _, m, inverse_mass) = rule[0], bodies
     dt, limit = R.max_dt, CAP
@@ -202,7 +206,7 @@ def find_limits(
 ) -> None:
     """Write the limits set by the bodies of the blocks [lo, hi), with speeds relative to V (m/s).
 
-    ``discounted`` are ``supported`` and ``field`` of `target`.
+    ``discounted`` is the pair (``supported``, ``field``) of `target`.
     """
     _, velocity, acceleration, radius, _, _ = bodies
     (supported, field), (Vx, Vy, Vz) = discounted, V
@@ -234,7 +238,7 @@ def find_limits(
 
 @kernel
 def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
-    """Return the first five fields of `LIMITS` and the last, each for the body of all blocks that limits most."""
+    """Return the first five fields of `LIMITS` and the last, each with the strictest value of all blocks."""
     a_max, a_free, b_max, every, fastest, v2_max, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
         limits = found[block]

@@ -6,16 +6,16 @@
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
     dt_h = min(√(2 held_dx / max(|a|max, b_max)), held_part · min r_i/u_i)
-                                                         replaces dt_a, if longer, for bodies held by contacts
+                                                         replaces dt_a, if it is longer, for bodies held by contacts
 
-By default, the first two limits apply where bodies can touch, and the third where they cannot.
+By default, dt_a and dt_v apply if bodies can touch, and dt_p if they cannot.
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| are relative to the centre of mass, and accelerations exclude
 the uniform field, so a scene that moves or falls as a whole takes the same steps. With planes, walls or fixed bodies,
-speeds are relative to these, and accelerations include the field. The reference engine ignores the acceleration, uses
-absolute speeds, and uses the radius of the *fastest* body only, so a small body that is slightly slower tunnels. That
-limit remains available as "fastest-body". The reference engine also smooths decreases, which violates the bound of a
-limit. Here a decrease takes effect at once.
+speeds are relative to these, and accelerations include the field. The reference engine (docs/validation.md) ignores the
+acceleration, uses absolute speeds, and uses the radius of the *fastest* body only, so a small body that is slightly
+slower tunnels. This limit is available as "fastest-body". The reference engine also smooths decreases, which
+violates the bound of a limit. Here a decrease takes effect at once.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ class Timestep:
     field
         (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
     anchored
-        Whether something is fixed; speeds are then relative to it.
+        Whether something is fixed; speeds are then relative to what is fixed.
     """
 
     def __init__(
         self, time: Time, limits: StepLimits, field: FloatArray, anchored: bool = False, team: Team = SOLO
     ) -> None:
-        self.rule = np.zeros(1, RULE)  # for `step_rule.target`
+        self.rule = np.zeros(1, RULE)  # record for `step_rule.target`
         rule = self.rule[0]
         rule["max_dt"], rule["cfl"], rule["target_dx"] = limits.max_dt, limits.cfl or 0.0, limits.target_dx or 0.0
         rule["by_fastest_body"] = time.velocity_limit == "fastest-body"
@@ -70,7 +70,7 @@ class Timestep:
         self.fixed_dt = time.fixed_dt  # s, a constant step; None if limits set the step
         self._smoothing = limits.smoothing
         self.field = field
-        self.spares_held = limits.held_dx is not None  # whether a step depends on accelerations supported by contacts
+        self.spares_held = limits.held_dx is not None  # whether the step depends on accelerations that contacts support
         self.previous = 0.0  # s, moving average of the step; 0 before the first
         self._team = team
         self._found = np.empty(0, LIMITS)
@@ -84,7 +84,7 @@ class Timestep:
             rule["gravity_fraction"], rule["examines_pairs"] = limits.pull_fraction, by_pairs
             rule["measures_bodies"] |= not by_pairs
             rule["constant"], rule["softening"] = gravity.constant, gravity.softening
-            rule["mean"] = gravity.constant * float(np.mean(bodies.mass))  # fixed bodies attract others, too
+            rule["mean"] = gravity.constant * float(np.mean(bodies.mass))  # fixed bodies attract others as well
         return timestep
 
     def choose(self, bodies: Bodies, remaining: float, supported: FloatArray = NO_SUPPORT) -> tuple[float, str]:

@@ -1,6 +1,6 @@
 """Vectors in kernels: rows of (n, 3) arrays by name, and separations in a periodic box.
 
-The functions are inlined, as fast as indices and with the same bits.
+The functions are inlined: they are as fast as indices, and give the same bits.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def minimum_images(d: FloatArray, box: FloatArray) -> FloatArray:
     The box is its size, (3,) m, or the vectors to the next images in a sheared box (`Shear.cell`), (3, 3) m.
     """
     if box.ndim == 2:
-        for axis in np.argsort(np.count_nonzero(box, axis=1) == 1, kind="stable"):  # the gradient first
+        for axis in np.argsort(np.count_nonzero(box, axis=1) == 1, kind="stable"):  # the gradient comes first
             d = d - np.floor(d[..., axis, None] / box[axis, axis] + 0.5) * box[axis]
         return d
     return d - box * np.floor(d / box + 0.5) if box[0] > 0.0 else d

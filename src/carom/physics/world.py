@@ -30,7 +30,8 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import Names
 
 _INWARD = "bodies fall into each other's centres: set gravity.softening"
-_CLOSE = {"error": _INWARD, "pull": f"{_INWARD}, or let them touch, contact.enabled"}  # by the limit that sets the step
+# remedies by the limit that sets the step
+_CLOSE = {"error": _INWARD, "pull": f"{_INWARD}, or let them touch, contact.enabled"}
 
 
 @dataclass(slots=True)
@@ -44,10 +45,10 @@ class Clock:
     before: float = 0.0  # s, time before the last step
     dt: float = 0.0  # s
     limit: str = "start"  # the limit that set dt
-    foreseen: dict[str, float] = field(default_factory=dict)  # number so far of the scene's own steps, by limit
+    foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by limit
 
     def advance(self, steps: int, before: float, time: float, dt: float, limit: str) -> None:
-        """Advance by a number of steps, given the times before and after the last (s), its length (s) and its limit.
+        """Advance by a number of steps; the other arguments are times (s), length (s) and limit of the last step.
 
         Raises PhysicsError if the last step did not change the time.
         """
@@ -92,8 +93,8 @@ class World:
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
     parts: Sequence[OptionalPart]  # optional parts of a step
-    hooks: Hooks  # of these parts
-    step: PresentStep  # the present one
+    hooks: Hooks  # hooks of these parts
+    step: PresentStep  # the present step
     clock: Clock
     team: Team
     profile: Profile

@@ -1,9 +1,9 @@
 """Named tuples passed to kernels by address.
 
 Numba passes a tuple of arrays as some seven words for each array. The contacts of a step are 200 words, and a kernel of
-many steps would copy them for each of the forty functions of a step, which takes more than half of its time with three
-bodies. A located tuple is one word. Kernels read its fields like the fields of the tuple itself, and each function
-reads only the fields that it uses.
+many steps would copy them for each of the forty functions of a step, and the copies take more than half of its time
+with three bodies. A located tuple is one word. Kernels read its fields like the fields of the tuple itself, and each
+function reads only the fields that it uses.
 
 In the plain form, a located tuple is the tuple.
 """
@@ -28,7 +28,7 @@ class Located(types.Type):  # type: ignore[misc] # untyped, like Numba's interna
         super().__init__(f"Located({of})")
 
     def member(self, field: str) -> Any:
-        """Return the type of a field; tuples in it are located, too."""
+        """Return the type of a field; tuples in the tuple are also located."""
         kind = self.types[self.fields.index(field)]
         return Located(kind) if hasattr(kind, "fields") else kind
 
@@ -74,10 +74,10 @@ def _located(known: dict[str, Any]) -> Any:
 
 @instruction(unchanged, returns=_located)
 def by_address(code: Code, fields: Any) -> Any:
-    """Return a named tuple as a located one, valid until the caller returns; an empty tuple as it is.
+    """Return a named tuple as a located tuple, valid until the caller returns; an empty tuple is returned as it is.
 
-    An empty piece of assembly hides where the address comes from. Without this assembly, LLVM might read fields, which
-    nobody writes, before they are stored.
+    An empty piece of assembly hides where the address comes from. Without it, LLVM might read fields before they are
+    stored, since it sees nobody write them.
     """
     if not hasattr(code.kinds["fields"], "fields"):
         return fields

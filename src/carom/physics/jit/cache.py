@@ -7,10 +7,10 @@ Numba's own cache unpickles and links any file in its folder, and identifies a k
 begins with a checksum of its content, of the kernel and its argument types, and of all sources that the kernel may
 depend on. Damaged, exchanged or outdated files are ignored and the kernel is compiled again. There is one file per
 kernel and types, and no index that two processes could write at once. A process that compiles a kernel claims it, so
-that others wait for the result, and removes the files of the kernel that other sources or versions left.
+that others wait for the result, and removes files of the kernel that belong to other sources or versions.
 
-A wheel may carry kernels for a `BASELINE` of processors (``.ci/wheel`` makes one). Such kernels lie beside the sources,
-are verified like all others, and give the same bits as kernels for this processor.
+A wheel may carry kernels for a `BASELINE` of processors (``.ci/wheel`` makes such a wheel). These kernels lie beside
+the sources, are verified like all others, and give the same bits as kernels for this processor.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ from carom.held_signals import signals_held
 from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
-CHECKSUM = 16  # bytes of each checksum at the start of a file: one of everything, one of the sources alone
+# bytes of each checksum at the start of a file: a checksum of everything, and a checksum of the sources alone
+CHECKSUM = 16
 CLAIMS = "claims.lock"  # name of a file in each folder; one of its bytes is locked while a kernel is compiled
 PATIENCE = 120.0  # s, longest wait for another process, which usually takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
@@ -51,7 +52,7 @@ SOURCES = (
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)
 # The x86-64-v3 level of the psABI for x86-64 (https://gitlab.com/x86-psABIs/x86-64-ABI), by LLVM's names: Intel since
-# 2013, AMD since 2015. The level below has no AVX2, with which kernels of eight contacts are compiled.
+# 2013, AMD since 2015. The next lower level has no AVX2, which kernels of eight contacts are compiled with.
 BASELINE = "x86-64-v3"
 _BASELINE_FEATURES = (
     *("cx16", "popcnt", "sahf", "sse3", "ssse3", "sse4.1", "sse4.2"),
@@ -63,7 +64,8 @@ _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.versio
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
     """Return the cache of a kernel; None if there is no folder for it, or its sources cannot be read.
 
-    A function within another function depends on more than its sources, such as the arguments of the outer function.
+    Such a function depends on more than its sources if it is within another function: for instance, on the arguments of
+    the outer function.
     """
     if MISSING or function.__closure__:
         return None
@@ -79,11 +81,11 @@ def cache_of(function: Callable[..., Any]) -> KernelCache | None:
 
 @cache
 def folder_of(package: Path) -> Path | None:
-    """Return the folder for the compiled kernels of a package; None if none is writable.
+    """Return the folder for the compiled kernels of a package; None if no folder is writable.
 
     The folder is the first writable one: below ``NUMBA_CACHE_DIR``; beside the sources, with their byte code; in the
-    user's cache; in the system's temporary folder. All but the second must belong to the user, and nobody else may have
-    write access.
+    user's cache; in the system's temporary folder. Except for the folder beside the sources, a folder must belong to
+    the user, and nobody else may have write access.
     """
     name = f"{package.name}-{xxhash.xxh3_64_hexdigest(str(package).encode())}"
     chosen = config.CACHE_DIR
@@ -138,7 +140,7 @@ class KernelCache:
         types = _types(sig, codegen)
         path = self._path(types)
         data = self._find(types, sig, codegen)
-        if data is None and _claim(path):  # another process may have compiled it meanwhile
+        if data is None and _claim(path):  # another process may have compiled the kernel meanwhile
             data = self._find(types, sig, codegen)
             if data is not None:
                 _release(path)
@@ -147,7 +149,8 @@ class KernelCache:
         with signals_held():
             try:
                 content = pickle.loads(data)
-            except (ImportError, AttributeError):  # a class named in the data was moved, as by an upgrade of a library
+            # a class named in the data was moved, for instance by an upgrade of a library
+            except (ImportError, AttributeError):
                 return None
             return compiler.CompileResult._rebuild(target_context, *content)
 
@@ -157,7 +160,7 @@ class KernelCache:
         return self._find(_types(sig, codegen), sig, codegen) is not None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the code for a signature; if that fails, it is compiled again next time."""
+        """Store the code for a signature; if that fails, the kernel is compiled again next time."""
         types = _types(sig, data.codegen)
         try:
             self._write(types, data)
@@ -185,7 +188,8 @@ class KernelCache:
         return data if content[:CHECKSUM] == self._checksum(types, data) else None
 
     def _write(self, types: bytes, data: Any) -> None:
-        if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:  # useful to this process only
+        # such code is useful to this process only
+        if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:
             return
         content: bytes = serialize.dumps(data._reduce())
         path = self._path(types)
@@ -233,10 +237,10 @@ def _byte_of(path: Path) -> int:
 
 
 def _claim(path: Path) -> bool:
-    """Claim a kernel, and wait while another process has it; return whether this process has it now.
+    """Claim a kernel, and wait while another process has the claim; return whether this process has it now.
 
-    The claims of a process end with it. Processes cannot wait for each other in a circle: each one holds claims only on
-    kernels that call, directly or indirectly, the one it waits for.
+    The claims of a process end with it. Processes cannot wait for each other in a circle: a process holds claims only
+    on kernels that call, directly or indirectly, the kernel for which it waits.
     """
     claims = _claims(path.parent)
     if claims is None:
@@ -263,7 +267,7 @@ def _release(path: Path) -> None:
 
 @cache
 def _is_baseline_met() -> bool:
-    """Return whether kernels for the baseline may run here: not if the user has chosen a processor."""
+    """Return whether kernels for the baseline may run here: False if the user has chosen a processor."""
     chosen = config.CPU_NAME is not None or config.CPU_FEATURES is not None
     has = {} if chosen else llvmlite.binding.get_host_cpu_features()
     return all(has.get(feature, False) for feature in _BASELINE_FEATURES)
@@ -272,8 +276,8 @@ def _is_baseline_met() -> bool:
 def _types(sig: Any, codegen: Any, processor: str = "") -> bytes:
     """Return a key for the types of a kernel's arguments and the processor, by default this one.
 
-    Numba names a named tuple by its class alone. Module and fields are part of the key: compiled code reads fields by
-    number, and the module that defines the class need not be among the sources of the kernel.
+    Numba names a named tuple by its class alone. The key therefore contains the module and the fields: compiled code
+    reads fields by number, and the module that defines the class need not be among the kernel's sources.
     """
     kinds = getattr(sig, "args", sig)
     target = (codegen.magic_tuple()[0], processor, "") if processor else codegen.magic_tuple()
@@ -298,7 +302,7 @@ def sources_of(module: str, file: Path) -> bytes:
     Raises
     ------
     OSError
-        If a file cannot be read, as in a zip.
+        If a file cannot be read, for example in a zip.
     """
     known = {str(file)}
     unread = [file]

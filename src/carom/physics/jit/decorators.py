@@ -1,9 +1,9 @@
 """Decorators that compile kernels: strict IEEE arithmetic, cached on disk.
 
-No ``fastmath``: reassociated or fused arithmetic would make the bits depend on the processor.
+``fastmath`` is not used: reassociated or fused arithmetic would make the bits depend on the processor.
 
-Plain kernels use only options that Numba documents. The others save the wrappers that only Python needs, which take
-most of the compilation of a kernel with many arrays, and the atomic counts of references to arrays.
+Plain kernels use only options that Numba documents. Other kernels save the atomic counts of references to arrays, and
+the wrappers that only Python needs: these take most of the compilation time of a kernel with many arrays.
 
 Functions of installed packages are compiled into carom's kernels, selected by the types of arguments
 (`chosen_by_type`). A record passed to kernels names its functions in its type: the name of its first field contains
@@ -27,14 +27,14 @@ from carom.physics.jit.inside import PLAIN, compiler, event, extending, types
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not depend on it
+_OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not depend on this flag
 _entries: dict[tuple[Callable[..., Any], Any], Callable[..., Any]] = {}
 _compiles_all = False
-_typeof: Any = numba.typeof  # the stub lacks its type
+_typeof: Any = numba.typeof  # the stub lacks the type of this function
 
-# for `entry_if_worthwhile`: numbers of calls of a kernel, each of which saves 0.17 ms
-WORTH_COMPILING = 100_000  # 17 s, where compilation takes 5 s, or 13 s on a busy machine
-WORTH_LOADING = 1_000  # 0.17 s, where loading takes 0.05 s, or 0.12 s on a busy machine
+# numbers of calls of a kernel, for `entry_if_worthwhile`; each call saves 0.17 ms
+WORTH_COMPILING = 100_000  # saves 17 s, while compilation takes 5 s, or 13 s on a busy machine
+WORTH_LOADING = 1_000  # saves 0.17 s, while loading takes 0.05 s, or 0.12 s on a busy machine
 
 
 def kernel(function: Function) -> Function:
@@ -49,7 +49,7 @@ def kernel(function: Function) -> Function:
 def long_kernel(function: Function) -> Function:
     """Compile a function that runs for tens of microseconds or more; it releases the interpreter lock.
 
-    The function neither creates nor stores arrays, as for `inner`.
+    The function must neither create nor store arrays; see `inner`.
     """
     return _compiled(function, nogil=True, _nrt=False)
 
@@ -65,8 +65,8 @@ def inner(function: Function) -> Function:
     With many array arguments, that wrapper takes most of the compilation. A call from Python would crash.
 
     The function neither creates nor stores arrays, so references to arrays are not counted. The counts are atomic: in a
-    short function that passes on the arrays of a tuple, they take most of the time. Kernels that it calls must not
-    create arrays either: if they are not yet compiled, Numba compiles them without counts, too.
+    short function that passes on the arrays of a tuple, they take most of the time. The kernels that the function calls
+    must not create arrays either: if they are not yet compiled, Numba also compiles them without counts.
     """
     return _compiled(function, no_cpython_wrapper=True, _nrt=False)
 
@@ -95,11 +95,11 @@ class QuickFlags(compiler.Flags):  # type: ignore[misc] # untyped, like all of N
 
 
 _DEFAULTS: dict[str, Any] = compiler.Flags().values()
-_HASH = 0 if PLAIN else hash(compiler.Flags())  # Numba's options have one hash, whatever their values are
+_HASH = 0 if PLAIN else hash(compiler.Flags())  # all options of Numba have the same hash, whatever their values are
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    """Compile for Python and other kernels, not for C; once for all literal arguments."""
+    """Compile for Python and other kernels, not for C, and only once for all literal arguments."""
     compile_as: Any = numba.njit  # the stub of `njit` lacks some options
     if PLAIN:
         documented = {name: value for name, value in options.items() if name in ("nogil", "inline")}
@@ -127,9 +127,9 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
     """Compile a kernel for the types of these arguments, or load it; return it as a function of such arguments only.
 
     Numba looks up the types of all arguments at each call: 3 to 5 µs for a tuple of 25 arrays. A call of the returned
-    function takes 0.5 µs, or 2 µs if it counts references. The returned function misreads arguments of other types, so
-    it may be used only for arrays whose types its owner sets. Without this shortcut, a step of few spheres at rest
-    takes 1.3 times as long. In the plain form, the kernel itself is returned.
+    function takes 0.5 µs, or 2 µs if it counts references. The returned function misreads arguments of other types. It
+    may therefore be used only for arrays whose types are fixed by the owner of the function. Without this shortcut, a
+    step of few spheres at rest takes 1.3 times as long. In the plain form, the kernel itself is returned.
     """
     if PLAIN:
         return function
@@ -143,7 +143,7 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
 
 
 def entry_if_worthwhile(function: Callable[..., Any], calls: float, *arguments: Any) -> Callable[..., Any] | None:
-    """Return `entry_of` a kernel that replaces others in many calls; None if compilation takes longer than it saves.
+    """Return `entry_of` a kernel that replaces others in many calls; None if compilation takes more time than it saves.
 
     The decision depends on numbers of calls, never on a clock, and must not change bits.
     """
@@ -219,7 +219,7 @@ def on_compilation(callback: Callable[[], None]) -> None:
 
 
 def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Let kernels that call a function compile the code that the decorated function returns for the argument types."""
+    """Let kernels that call ``stub`` compile the code that the decorated function returns for the argument types."""
     overload: Any = extending.overload
     decorated: Callable[[Callable[..., Any]], Callable[..., Any]] = overload(
         stub, jit_options={"error_model": "numpy"}, strict=False
@@ -228,9 +228,9 @@ def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], C
 
 
 def for_first(function: Callable[..., Any], is_meant: Callable[[Any], bool]) -> Callable[[Function], Function]:
-    """Let kernels that call a function call the decorated one if the first argument has the annotated type.
+    """Let kernels that call a function call the decorated function if the first argument has the annotated type.
 
-    The decorated function may be the called one itself.
+    The decorated function may be the called function itself.
     """
 
     def decorated(form: Function) -> Function:
@@ -241,14 +241,14 @@ def for_first(function: Callable[..., Any], is_meant: Callable[[Any], bool]) -> 
 
 
 def with_field(name: str, chosen: Callable[..., Any], place: int = 0) -> Callable[[Function], Function]:
-    """Let kernels call ``chosen`` in place of the decorated function where records have a field.
+    """Let kernels call ``chosen`` in place of the decorated function if records have a field.
 
     Parameters
     ----------
     name
         The name of the field.
     chosen
-        The function to call, with the arguments of the decorated one.
+        The function to call, with the arguments of the decorated function.
     place
         Index of the argument that is the record, or the array of records.
     """
@@ -269,7 +269,7 @@ def identity_of(*functions: Callable[..., Any]) -> str:
     """Return a text that changes with the sources of functions, for use in the name of a type.
 
     A function within another function, or a function whose sources cannot be read, depends on more than its text. The
-    address of such a function is part of the name, so that `KernelCache` stores no kernel with it.
+    text then contains the address of the function, so that `KernelCache` stores no kernel that uses the function.
     """
     whole = xxhash.xxh3_64()
     for function in functions:

@@ -1,9 +1,9 @@
 """The parts of Numba and llvmlite that are not documented for users; no other module imports them.
 
-`PLAIN` is true if kernels must do without them: with ``CAROM_PLAIN=1`` in the environment, or if the installed Numba
-lacks one of these parts. Plain kernels give the same bits and use only documented features of Numba. One thread does
-all the work, one contact and one body at a time. Use plain kernels to find out whether a fault is in the code of this
-package, and to debug the phases of the contact solver step by step, since plain Python then calls them.
+`PLAIN` is true if kernels must do without these parts: with ``CAROM_PLAIN=1`` in the environment, or if the installed
+Numba lacks one of these parts. Plain kernels give the same bits and use only documented features of Numba. One thread
+does all the work, one contact and one body at a time. Use plain kernels to find out whether a fault is in the code of
+this package, and to debug the phases of the contact solver step by step, since plain Python then calls the phases.
 
 `tests/physics/jit/test_numba.py` tries each part, and `tests/physics/jit/test_plain.py` compares the bits.
 """
@@ -63,8 +63,8 @@ def _module(name: str, *members: str) -> Any:
     return Absent() if missing else module
 
 
-# Numba loads the extensions of all packages at the first call of a kernel, once only. That call would fail if the
-# metadata of any package are damaged, or an extension calls `sys.exit`.
+# Numba loads the extensions of all packages at the first call of a kernel, once only. The call fails if the metadata of
+# any package are damaged, or if an extension calls `sys.exit`.
 with signals_held(), contextlib.suppress(BaseException):
     import_module("numba.core.entrypoints").init_all()
 
@@ -85,16 +85,16 @@ templates = _module("numba.core.typing.templates", "AttributeTemplate", "infer_g
 npytypes = _module("numba.core.types.npytypes", "Record.mangling_args")
 types: Any = numba.types  # documented, but without type hints
 
-# Symbols of compiled functions, which must differ wherever the functions do: a process that loads kernels which several
-# processes compiled links a name to the first function that has it, without a word. Numba numbers layouts of records
-# and functions in the order in which a process meets them, so that two processes give one name to functions over two
-# layouts, or to two functions made by one factory. Here a name contains a digest of the layout, and functions are
-# numbered from a random start in each process, forked ones included.
+# Symbols of compiled functions must differ wherever the functions differ. A process may load kernels that several other
+# processes compiled, and silently links a symbol to the first function with that name. Numba numbers record layouts and
+# functions in the order in which a process meets them. Two processes may therefore give the same name to functions over
+# two layouts, or to two functions made by one factory. Here a name contains a digest of the layout, and each process,
+# forked ones included, numbers functions from a random start.
 RANDOM_BYTES = 8  # bytes of the first number: 10⁵ processes of 10⁴ functions each overlap with a probability of 10⁻⁵
 
 
 def _name_of_layout(record: Any) -> tuple[str, tuple[str, ...]]:
-    """Return the text that identifies a record type in a symbol, in place of Numba's counter."""
+    """Return the text that identifies a record type in a symbol, instead of Numba's counter."""
     return type(record).__name__, (layout_digest(record),)
 
 
@@ -112,9 +112,8 @@ npytypes.Record.mangling_args = property(_name_of_layout)
 _number_functions()
 os.register_at_fork(after_in_child=_number_functions)
 
-# llvmlite calls Numba back at the start and end of each of its own calls, 86 000 times in a first run, to time how long
-# they hold a lock. Nothing listens to these times. Without them, compilations and the loading of kernels take 0.95 of
-# the CPU time.
+# At the start and end of each of its calls, llvmlite calls Numba back to time how long it holds a lock: 86 000 times in
+# a first run. Nobody uses these times. Without them, compilations and the loading of kernels take 0.95 of the CPU time.
 _lock: Any = getattr(getattr(import_module("llvmlite.binding.ffi"), "lib", None), "_lock", None)
 for _callbacks in list(getattr(_lock, "_cblist", ())):
     if all(callback.__module__ == "numba.core.base" for callback in _callbacks):

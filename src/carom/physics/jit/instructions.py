@@ -3,7 +3,8 @@
 - *Atomic words* let threads share work inside kernels: pieces of a phase, cells of a grid, branches of a tree. Without
 such words, one thread does all the work; two threads gain a factor of 1.5 to 1.9 (docs/performance.md).
 - *Prefetching*. The two bodies of a contact may be anywhere in memory, and the processor cannot predict the bodies of
-  the next contacts. Prefetched sixteen contacts ahead, they arrive in time: 10⁵ bodies in random order cost 40 instead
+the next contacts. If bodies are prefetched sixteen contacts ahead, they arrive in time: 10⁵ bodies in random order cost
+40 instead
   of 150 ns per contact and iteration, as little as bodies in the order of a lattice. Rejected: sorting the bodies along
   a space-filling curve, which gains nothing more.
 - `from_front`. Numba's indices may count from the end, as in Python, so each access tests the sign of its index unless
@@ -25,7 +26,7 @@ from carom.physics.aligned import CACHE_LINE
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.inside import PLAIN, cgutils, extending, ir, types
 
-AHEAD = 16  # contacts ahead; 8 cost the same if the bodies fit into the cache, and 45 instead of 38 ns otherwise
+AHEAD = 16  # number of contacts ahead; 8 cost the same if the bodies fit into the cache, otherwise 45 instead of 38 ns
 LARGEST = 2**63 - 1
 WORD = ir.IntType(64)
 
@@ -52,7 +53,7 @@ class Code:
         return self.builder.extract_value(self.context.make_array(kind)(self.context, self.builder, array).shape, 0)
 
     def load(self, address: Any, offset: int = 0) -> Any:
-        """Load the value at an address, or the one a number of values after it."""
+        """Load the value at an address, or ``offset`` values after it."""
         return self.builder.load(self.builder.gep(address, [WORD(offset)]) if offset else address)
 
     def variable(self, value: Any) -> Any:
@@ -60,7 +61,7 @@ class Code:
         return cgutils.alloca_once_value(self.builder, value)
 
     def loop(self, begin: Any, end: Any) -> Any:
-        """Return a context that repeats the code in it, and yields the index and an unused value."""
+        """Return a context whose code is repeated; it yields the index and an unused value."""
         return cgutils.for_range_slice(self.builder, begin, end, WORD(1))
 
     def call(self, function: Callable[..., Any], returns: str | tuple[str, ...], *given: tuple[Any, Any]) -> Any:
@@ -219,7 +220,7 @@ def prefetch(code: Code, rows: Any, row: Any, column: Any) -> None:
 
 @instruction(_fetch_no_record, record="intp")
 def prefetch_to_read(code: Code, records: Any, record: Any) -> None:
-    """Prefetch the first cache line of a record in a (k,) array, to be read; other cores keep it."""
+    """Prefetch the first cache line of a record in a (k,) array, to be read; other cores keep their copies."""
     fetch_line(code.builder, code.element("records", record), 0, to_write=False)
 
 
@@ -230,7 +231,7 @@ def prefetch_record(code: Code, records: Any, record: Any, line: Any) -> None:
 
 
 def fetch_line(builder: Any, address: Any, line: Any, *, to_write: bool) -> None:
-    """Generate code to prefetch a cache line, counted from an address by an int or a value in the code."""
+    """Generate code to prefetch a cache line: ``line``, an int or a value in the code, counts from an address."""
     byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
     offset = WORD(line * CACHE_LINE) if isinstance(line, int) else builder.mul(line, line.type(CACHE_LINE))
     kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])

@@ -1,4 +1,4 @@
-"""The time in which kernels are loaded or compiled, which a run spends once, not in every step."""
+"""The time in which kernels are loaded or compiled: a run spends it once, not in every step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like Numba's
         self._clock = clock
         self._seconds = dict.fromkeys((COMPILED, LOADED_OR_COMPILED), 0.0)
         self._since = dict(self._seconds)
-        self._depth = dict.fromkeys(self._seconds, 0)  # kernels load and compile the kernels that they call
+        # depth of nesting, since kernels load and compile the kernels that they call
+        self._depth = dict.fromkeys(self._seconds, 0)
 
     @property
     def seconds(self) -> float:

@@ -1,12 +1,12 @@
 """A kernel and its arguments as two addresses, so that any thread can do a piece of the work without the interpreter.
 
-A helper that calls through the interpreter waits for its lock: 10 to 30 µs for half a dozen pieces. A step of 10⁴
-bodies gained a factor of 1.2 from a second thread that way, and 1.65 with addresses. Numba can pass a kernel to another
-kernel as a value, but then compiles the other one again for each kernel and each set of arguments. The phases of the
-contact solver, called by name, would all be compiled into each of their callers.
+A helper that calls the kernel through the interpreter waits for the interpreter lock: 10 to 30 µs for half a dozen
+pieces. A step of 10⁴ bodies gained a factor of 1.2 from a second thread that way, and 1.65 with addresses. Numba can
+pass a kernel to another kernel as a value, but then compiles the receiving kernel again for each passed kernel and each
+set of arguments. The phases of the contact solver, called by name, would all be compiled into each of their callers.
 
-In the plain form, a task is a Python object that calls its kernel; the functions that lead tasks (`leading`) are
-Python, too.
+In the plain form, a task is a Python object that calls its kernel; the functions that lead tasks (`leading`) are then
+Python as well.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from carom.physics.jit.decorators import Function
 from carom.physics.jit.inside import PLAIN, callconv, cgutils, ir, types
 from carom.physics.jit.instructions import WORD, Code, instruction
 
-# arguments of a kernel: address of the job, first piece, end of the pieces
+# types of a kernel's arguments: address of the job, first piece, end of the pieces
 PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])
 FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # words of a job; FAULT: error code (0: none), INFO: exception
 CODE: Any = np.object_ if PLAIN else np.int64  # type of arrays of `code_for`
 
 
 def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], Function]:
-    """Compile a function that calls kernels as tasks, but leave it to Python where kernels are plain."""
+    """Compile a function that calls kernels as tasks, but leave it to Python if kernels are plain."""
     return (lambda function: function) if PLAIN else compile_as
 
 
@@ -64,7 +64,7 @@ def address_of(kernel: Callable[..., None], kind: int) -> int:
 def code_for(kernel: Callable[..., None], fields: tuple[Any, ...]) -> Any:
     """Compile a kernel for (lo, hi, a located tuple), or load it; return the address of its machine code.
 
-    In the plain form this is the kernel itself.
+    In the plain form, the result is the kernel itself.
     """
     if PLAIN:
         return kernel
@@ -75,7 +75,7 @@ def code_for(kernel: Callable[..., None], fields: tuple[Any, ...]) -> Any:
 
 
 def kind_for(fields: tuple[Any, ...]) -> int:
-    """Return the result of `kind_of` for a located tuple, outside of kernels."""
+    """Return the result of `kind_of` for a located tuple; for use outside of kernels."""
     type_of: Any = numba.typeof
     return _kind([Located(type_of(fields))])
 

@@ -4,8 +4,8 @@ Two threads gain a factor of 1.5 to 1.9 in steps of 10⁴ bodies or more (docs/p
 leader is alone.
 
 The leader posts a phase of independent pieces on a board, processes pieces itself, and posts the next phase when all
-are done. Helpers process pieces while there are any. Any thread may process any piece, so the pieces of a phase must be
-independent. The bits therefore do not depend on the number of threads.
+pieces are done. Helpers process pieces as long as there are any. Any thread may process any piece, so the pieces of a
+phase must be independent. The bits therefore do not depend on the number of threads.
 
 The leader waits only for pieces that a helper has already taken, never for a helper to start. If another process keeps
 a helper from running, the leader does the work alone. Helpers yield their core between pieces, so they are rarely
@@ -18,8 +18,8 @@ Rejected, with measurements:
   on the machine.
 - One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
   is polling the board starts within 1 µs.
-- Helpers that ask the interpreter which function to call: they and the leader wait for its lock, 10 to 30 µs a phase. A
-  step of 10⁴ bodies gained a factor of 1.2 from a second thread that way, 1.65 without.
+- Helpers that ask the interpreter which function to call: leader and helpers wait for the interpreter lock, 10 to 30 µs
+a phase. That way, a step of 10⁴ bodies gained a factor of 1.2 from a second thread, instead of 1.65.
 """
 
 from __future__ import annotations
@@ -40,13 +40,14 @@ from carom.physics.jit.instructions import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
 
 LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # indices of words on the board, each in a cache line of its own
-JOB, FIRST = DOER + 1, DOER + 2  # like DOER, written by the leader only
+JOB, FIRST = DOER + 1, DOER + 2  # like DOER, these words are written by the leader only
 WORDS = 32
 PATIENCE = 5000  # polls of the board, about 20 µs, before an idle helper yields its core
-# polls between two jobs before a helper sleeps; with a fifth, two threads gain a factor of 1.38, not 1.53
+# number of polls between two jobs before a helper sleeps; with a fifth of it, two threads gain a factor of 1.38, not
+# 1.53
 LOOKOUT = 50 * PATIENCE
-SHIFT = 32  # pieces, some tenths of a millisecond, before a busy helper yields its core
-SHARED = 0  # result of `_lead` when the job is done; any other is the kind of arguments that needs code
+SHIFT = 32  # number of pieces, some tenths of a millisecond, after which a busy helper yields its core
+SHARED = 0  # result of `_lead` when the job is done; any other result is the kind of arguments that needs code
 PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
 
 
@@ -91,9 +92,9 @@ class Team:
         An exception in a piece is raised here when all pieces are done.
 
         ``work`` is a `long_kernel`, which releases the interpreter's lock; ``alone`` is its `entry_of` for these
-        arguments, called if the work is not shared. The smallest piece has ``grain`` elements, about 10 µs of work.
+        arguments, called if the work is not shared. A piece has at least ``grain`` elements, about 10 µs of work.
         """
-        # tested first, since such calls take most of a step with few bodies
+        # tested first, since calls with little work take most of a step with few bodies
         if self._pool is None or count < self.least * grain:
             (alone or work)(0, count, *arguments)
         else:
@@ -102,7 +103,7 @@ class Team:
                 code, kind = self._code.get(work, (0, 0))
                 kind = _lead(board, code, kind, count, pieces, arguments)
                 if kind != SHARED:
-                    work(0, 0, *arguments)  # compiles it
+                    work(0, 0, *arguments)  # compiles the kernel
                     code = address_of(work, kind)
                     self._code[work] = code, kind
                     _lead(board, code, kind, count, pieces, arguments)
@@ -128,13 +129,13 @@ ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without h
 SOLO = Team(1)
 
 
-# address of the C function that yields the core; 0 if there is none
+# address of the C function that yields the core; 0 without such a function
 OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 
 @kernel
 def post(board: IntArray, pieces: int) -> None:
-    """Post a phase of ``pieces`` pieces. Write the data that helpers read before they claim a piece."""
+    """Post a phase of ``pieces`` pieces. Before that, write the data that helpers read before they claim a piece."""
     atomic_store(board, DONE, 0)
     atomic_store(board, BACK, pieces)
     atomic_store(board, LEFT, pieces)
@@ -176,7 +177,7 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
 def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) -> None:
     """Post ``pieces`` pieces of a job, from ``first`` on, and process them with the helpers.
 
-    The caller must not raise the fault of the job before that: helpers need the job until all pieces are done.
+    The caller must not raise the fault of the job earlier: helpers need the job until all pieces are done.
     """
     board[DOER], board[JOB], board[FIRST] = doer, job, first
     post(board, pieces)
@@ -195,7 +196,8 @@ def _look(board: IntArray, offer: int, looks: int) -> None:
     while idle < looks:
         idle += 1
         if claim(board):
-            # from the back, since the leader starts at the front: bodies mostly stay in the same core's cache
+            # helpers take pieces from the back, the leader from the front, so bodies mostly stay in the same core's
+            # cache
             piece = board[FIRST] + atomic_add(board, BACK, -1) - 1
             do(board[DOER], board[JOB], piece, piece + 1)
             finish(board)
@@ -216,6 +218,6 @@ def sharing_all() -> Iterator[None]:
 
 
 def load_helpers() -> None:
-    """Load the kernel in which helpers wait, as a run does when it first shares work."""
+    """Load the kernel in which helpers wait, which a run does when it first shares work."""
     if not PLAIN:
         _look(np.zeros(WORDS, dtype=np.int64), OFFER, 0)

@@ -1,17 +1,18 @@
 """Vectors: the same arithmetic on eight records or bodies at once, in the processor's vector registers.
 
 `Lanes` is a value in the code of an instruction (see `instructions`) with one double for each of `WIDTH` records;
-`Mask` has one bit for each. The operators of both emit strict IEEE arithmetic, so each lane has the bits that a loop
-over the records would give. Processors with narrower registers use two or four instructions for each operation, with
-the same bits. Formulas are written once, for doubles: `in_lanes` compiles the same Python code for lanes.
+`Mask` has one bit for each record. The operators of `Lanes` and `Mask` emit strict IEEE arithmetic, so each lane has
+the bits that a loop over the records would give. Processors with narrower registers use two or four instructions for
+each operation, with the same bits. Formulas are written once, for doubles: `in_lanes` compiles the same Python code for
+lanes.
 
 `RecordLanes` are eight records whose fields are lanes. Records are read and written as whole cache lines, which are
 transposed in registers. A transposition takes 24 instructions, so a change that belongs to several lines is transposed
-once and added to them in memory.
+once, and added to the lines in memory.
 
 Gains (docs/performance.md): a sweep of the contact solver takes 18 instead of 24.5 ns per contact, and an iteration of
-the position correction 29 instead of 42 µs; that is 6 to 10 % of a step of falling spheres. For a pair of boxes, the
-fast multipole method takes two thirds of the time that a loop over a table of products would take.
+the position correction takes 29 instead of 42 µs; together, this saves 6 to 10 % of a step of falling spheres. For a
+pair of boxes, the fast multipole method takes two thirds of the time that a loop over a table of products would take.
 
 The plain form of each instruction on lanes is the loop over records that it replaces.
 """
@@ -32,7 +33,7 @@ from carom.physics.jit.inside import cgutils, ir
 WIDTH = 8  # doubles in a cache line
 HALF = WIDTH // 2
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)
-NOTHING = DOUBLE(-0.0)  # adding this keeps all bits, even those of -0.0
+NOTHING = DOUBLE(-0.0)  # adding this keeps all bits, even the bits of -0.0
 VECTOR, MASK = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(BIT, WIDTH)
 
 
@@ -64,7 +65,7 @@ class Mask:
         return self.builder.extract_element(self.value, INDEX(k))
 
     def in_each(self, do: Callable[[int], None]) -> None:
-        """Run code for each lane that is set. Usually all are set, which takes a single branch."""
+        """Run code for each lane that is set. Usually all lanes are set, and then there is a single branch."""
         builder = self.builder
         every = builder.icmp_unsigned("==", builder.bitcast(self.value, BYTE), BYTE(2**WIDTH - 1))
         with builder.if_else(every, likely=True) as (in_all, in_some):
@@ -78,7 +79,7 @@ class Mask:
 
 
 class Lanes:
-    """One double per lane. An operand may be a number, which then is in all lanes."""
+    """One double per lane. If an operand is a number, it is in all lanes."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
@@ -124,7 +125,7 @@ class Lanes:
         return self._apply("llvm.sqrt")
 
     def where(self, mask: Mask, other: Lanes | float) -> Lanes:
-        """Return these lanes where a mask is set, and the other lanes elsewhere."""
+        """Return these lanes where a mask is set, and the lanes of ``other`` elsewhere."""
         return Lanes(self.builder, self.builder.select(mask.value, self.value, self._alike(other).value))
 
     def lane(self, k: int) -> Any:
@@ -152,7 +153,7 @@ class Lanes:
 
 @inline
 def where(condition: bool, then: float, otherwise: float) -> float:
-    """Return one of two doubles, for formulas of doubles and of lanes; both are computed in any case."""
+    """Return one of two doubles, for formulas of doubles and of lanes; both are always computed."""
     return then if condition else otherwise
 
 
@@ -171,12 +172,12 @@ def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def greater(first: Lanes | float, second: Lanes) -> Lanes:
-    """Return the larger, like ``max`` of doubles: the first where they are equal or one is NaN."""
+    """Return the larger lanes, like ``max`` of doubles: the first operand where both are equal or one is NaN."""
     return second.where(second > first, first)
 
 
 def added_in_order(builder: Any, total: Any, *terms: Lanes) -> Any:
-    """Add all terms of the first lane to a double, then the terms of the next lane; the bits depend on this order."""
+    """Add all terms of the first lane to a double, then all terms of the next lane; the bits depend on this order."""
     for k in range(WIDTH):
         for term in terms:
             total = builder.fadd(total, term.lane(k))
@@ -195,7 +196,7 @@ def gathered(builder: Any, values: Sequence[Any]) -> Lanes:
 
 
 def at_least(builder: Any, numbers: Sequence[Any], least: Any) -> Mask:
-    """Return a mask of the lanes whose integer is at least another one."""
+    """Return a mask of the lanes whose integer is at least ``least``."""
     kind = ir.VectorType(WORD, WIDTH)
     vectors = (_collected(builder, kind, values) for values in (numbers, [least] * WIDTH))
     return Mask(builder, builder.icmp_signed(">=", *vectors))
@@ -214,12 +215,12 @@ def _collected(builder: Any, kind: Any, values: Sequence[Any]) -> Any:
 
 
 def read_doubles(builder: Any, address: Any, offset: int = 0) -> Lanes:
-    """Read eight doubles of an array, at an address or a number of doubles after it."""
+    """Read eight doubles of an array, at an address, or ``offset`` doubles after it."""
     return Lanes(builder, builder.load(_vector_at(builder, address, offset), align=8))
 
 
 def write_doubles(lanes: Lanes, address: Any, offset: int = 0) -> None:
-    """Write eight doubles of an array, at an address or a number of doubles after it."""
+    """Write eight doubles of an array, at an address, or ``offset`` doubles after it."""
     lanes.builder.store(lanes.value, _vector_at(lanes.builder, address, offset), align=8)
 
 
@@ -259,7 +260,7 @@ def shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
 def either(
     builder: Any, condition: Any, then: Callable[[], Sequence[Lanes]], otherwise: Callable[[], Sequence[Lanes]]
 ) -> list[Lanes]:
-    """Return the result of one of two functions, by a condition that is the same for all lanes."""
+    """Return the result of one of two functions, chosen by a condition that is the same for all lanes."""
     found = []
     with builder.if_else(condition) as (if_so, if_not):
         for branch, compute in ((if_so, then), (if_not, otherwise)):
@@ -286,17 +287,17 @@ class RecordLanes:
         return self._lines[line][place]
 
     def field(self, name: str) -> Lanes:
-        """Return a field of a line that has not been read; the line is not transposed."""
+        """Return a field of a line that has not been read, without transposing the line."""
         line, place = self._place_of(name)
         places = [_at(self._builder, at, line * CACHE_LINE + 8 * place, DOUBLE) for at in self._addresses]
         return gathered(self._builder, [self._builder.load(at) for at in places])
 
     def assume(self, **fields: Lanes) -> None:
-        """Use given values as fields of lines that have not been read."""
+        """Use the given values as fields of lines that have not been read."""
         vars(self).update(fields)
 
     def change(self, **fields: Lanes) -> None:
-        """Change fields of lines that have been read; `write` then changes memory."""
+        """Change fields of lines that have been read; `write` then writes them to memory."""
         for name, value in fields.items():
             line, place = self._place_of(name)
             self._lines[line][place] = value
@@ -326,7 +327,7 @@ class RecordLanes:
         mask.in_each(add)
 
     def add_to(self, mask: Mask, **fields: Lanes) -> None:
-        """Add to named fields of a cache line in memory, for the records of a mask; the others keep their bits."""
+        """Add to named fields of a cache line in memory, for the records of a mask; other fields keep their bits."""
         (line,) = {self._place_of(name)[0] for name in fields}
         row = [spread(self._builder, NOTHING)] * WIDTH
         for name, value in fields.items():
@@ -384,6 +385,6 @@ def line_of(builder: Any, address: Any, line: int) -> Any:
 
 
 def _at(builder: Any, address: Any, offset: int, kind: Any) -> Any:
-    """Return the address some bytes after another address."""
+    """Return the address that is ``offset`` bytes after another address."""
     moved = builder.gep(builder.bitcast(address, BYTE.as_pointer()), [WORD(offset)])
     return builder.bitcast(moved, kind.as_pointer())

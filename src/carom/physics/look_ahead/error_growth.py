@@ -1,9 +1,9 @@
 """The growth of errors: distances between runs over time, extrapolated to shorter steps, and the divergence of twins.
 
 The error with shorter steps follows from the distances between trial runs with successively shorter steps. No step of a
-trial run is a multiple of another's step. If a ball stops sliding within a step of length h, after a fraction f of it,
-the error of the step is C h² f (1 - f). Halved steps end where the longer ones end. If such an event coincides with the
-end of a step, f is 0 in all trial runs, and they agree on a wrong result.
+trial run is a multiple of another's step. If a ball stops sliding within a step of length h, after a fraction f of the
+step, the error of the step is C h² f (1 - f). Halved steps would end where the longer steps end. If such an event
+coincides with the end of a step, f is 0 in all trial runs, and they agree on a wrong result.
 """
 
 from __future__ import annotations
@@ -19,28 +19,31 @@ from carom.physics.vector import minimum_images
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
-GOLDEN = 0.3819660112501051  # of the time between two comparisons
-# Refinement of the first trial run, and of each relative to the previous one; 24 steps in a circular orbit. With 1.06,
-# a run that refinement 1 suffices for cost a tenth of its look-ahead where bodies touch.
+# largest distance of a time from a regular one, as a fraction of the time between two comparisons
+GOLDEN = 0.3819660112501051
+# Refinement of the first trial run (24 steps in a circular orbit), and ratio of the refinements of successive trial
+# runs. With 1.06, if bodies touch and refinement 1 is enough, a run cost a tenth of its look-ahead.
 COARSEST, RATIO = 0.25 * 1.0618, 1.4715
 LONGEST = 1.0  # refinement of the longest useful steps
-SAFETY = 3.5  # the step is chosen for an error smaller than requested by this factor
-# Largest refinement relative to the finest trial run, which then costs an eighth of the run itself; and the same where
-# nothing can touch, so that the order is known.
+SAFETY = 3.5  # the step is chosen for an error that is smaller than the requested error by this factor
+# Largest refinement relative to the finest trial run, which then costs an eighth of the run itself. The second value is
+# for scenes in which nothing can touch, so that the order is known.
 FARTHEST, FARTHEST_OF_SMOOTH = 8.0, 32.0
-# Required comparisons: with contacts, one or two may be small by chance (see above). The chance of a distance that is a
-# fraction of the accuracy is about that fraction; fewer suffice where the product of the fractions is below `CHANCE`.
+# Number of required comparisons: with contacts, one or two distances may be small by chance (see above). A distance of
+# a given fraction of the accuracy has about this fraction as its probability. Fewer comparisons are enough if the
+# product of these fractions is below `CHANCE`.
 TRIED, TRIED_OF_SMOOTH, CHANCE = 3, 2, 1e-3
 LATEST = 4  # number of latest comparisons in use
-# sufficient fraction of the longest time for which the accuracy can be kept, unless that is the whole run
+# a step is good enough if it keeps the accuracy for this fraction of the longest possible time, unless this is the
+# whole run
 NEARLY = 0.95
 FALLING = 0.82  # largest ratio of successive distances that counts as a reduction
-APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
+APART = 1e-2  # distance of twins, relative to the size, above which they no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
-LEAST_POWER = 2.0  # of the time, by which an error is expected to grow
+LEAST_POWER = 2.0  # smallest power of the time by which an error is expected to grow
 UNSEEN = 3.0  # factor on an error beyond the times that trial runs reached
-SMALLEST = 1e-300  # in place of an error of 0, which has no logarithm
-MOST_GROWTH = 600.0  # of the logarithm of the distance, so that the distance stays finite
+SMALLEST = 1e-300  # replaces an error of 0, which has no logarithm
+MOST_GROWTH = 600.0  # largest growth of the logarithm of a distance, so that the distance stays finite
 
 
 class Run(Protocol):
@@ -51,7 +54,7 @@ class Run(Protocol):
         """(K,) s."""
 
     def at(self, sample: int) -> FloatArray | None:
-        """Return the positions at one of the times, (n, 3) m; None if the run failed before."""
+        """Return the positions at one of the times, (n, 3) m; None if the run failed earlier."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +66,9 @@ class Scale:
 
     @classmethod
     def of(cls, scene: Scene, start: InitialBodies) -> Scale:
-        """Return the scale: half the box, or the rms distance of the bodies from their centre.
+        """Return the scale: half the box, or the bodies' rms distance from their centre.
 
-        For a single body, it is the distance from the origin, or the radius if it is there.
+        For a single body, the scale is its distance from the origin, or its radius if it is at the origin.
         """
         if scene.domain.period is not None:
             box = np.array(scene.domain.period)
@@ -101,8 +104,8 @@ def samples(end: float, count: int) -> FloatArray:
 def between_round_times(end: float, count: int) -> FloatArray:
     """Return times up to ``end`` at which steps of trial runs may end, (count,) s.
 
-    An event within a step causes an error, an event at its end does not. Events are more frequent at round fractions of
-    the duration, so the times avoid these.
+    An event within a step causes an error, an event at its end does not. Events are frequent at round fractions of the
+    duration, so the times avoid such fractions.
     """
     times = end * ((np.arange(1, count + 1) - GOLDEN) / count)
     times[-1] = end
@@ -110,10 +113,10 @@ def between_round_times(end: float, count: int) -> FloatArray:
 
 
 def onward(times: FloatArray, values: FloatArray, later: FloatArray) -> FloatArray:
-    """Return by which factors an error, (K,) at all times (s), is expected to have grown at later times, (M,).
+    """Return the factors by which an error, (K,) at all times (s), is expected to grow up to later times, (M,).
 
-    It grows like t^p e^(λ t), with p and λ from the two last doublings of the known time; p is 2 or more, since errors
-    of regular motion grow like t².
+    An error grows like t^p e^(λ t), with p and λ from the last two doublings of the known time; p is at least 2, since
+    errors of regular motion grow like t².
     """
     quarter, half, last = (
         max(float(np.interp(part * times[-1], times, values)), SMALLEST) for part in (0.25, 0.5, 1.0)
@@ -155,15 +158,16 @@ def extrapolate(
 ) -> tuple[float, float, FloatArray]:
     """Return a refinement, the time (s) for which it keeps the accuracy, and its error.
 
-    The refinement is a power of two, so that steps and frames end together. It is at least 1 and the refinement of the
-    last trial run but one, and at most ``farthest`` times the last refinement, ``finest``. The distances of each trial
-    run from the next, ``apart``, are (K,) relative to the size. The coefficient of h^p depends on where in their steps
-    impacts are, so the largest of the latest distances is used, each scaled by the order, which is at most ``highest``.
+    The refinement is a power of two, so that steps and frames end together. It is at least 1 and at least the
+    refinement of the last trial run but one, and at most ``farthest`` times the last refinement, ``finest``. The
+    distances of each trial run from the next, ``apart``, are (K,) relative to the size. The coefficient of h^p depends
+    on where in their steps impacts happen. Therefore the largest of the latest distances is used, after each is scaled
+    by the order, which is at most ``highest``.
     """
     order = _observed(apart, highest)
     scaled = [each / RATIO ** (order * age) for age, each in enumerate(apart[: -LATEST - 1 : -1])]
     with np.errstate(invalid="ignore"):
-        error = np.max(scaled, axis=0) / (RATIO**order - 1.0)  # of the latest run
+        error = np.max(scaled, axis=0) / (RATIO**order - 1.0)  # error of the latest run
     lowest, highest_power = math.ceil(math.log2(finest / RATIO)), math.floor(math.log2(farthest * finest))
     tried = [max(2.0**power, LONGEST) for power in range(min(lowest, highest_power), highest_power + 1)]
     errors = [error * (finest / each) ** order for each in tried]
@@ -180,7 +184,7 @@ def by_chance(apart: list[FloatArray], accuracy: float) -> float:
 
 
 def largest_useful(order: int, accuracy: float, farthest: float) -> float:
-    """Return a distance of trial runs, relative to the size, above which no run that follows keeps the accuracy."""
+    """Return the distance of trial runs, relative to the size, above which no following run keeps the accuracy."""
     return min(accuracy * (RATIO**order - 1.0) * (farthest * RATIO**LATEST) ** order / SAFETY, 1.0)
 
 
@@ -191,7 +195,7 @@ def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
 
 
 def _observed(apart: list[FloatArray], order: int) -> float:
-    """Return the observed order, between 1 and the integrator's, at the last time at which distances are usable."""
+    """Return the observed order, from 1 to the integrator's order, at the last time at which distances are usable."""
     age = min(LATEST, len(apart)) - 1
     coarse, fine = apart[-1 - age], apart[-1]
     usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0) & np.isfinite(fine))
@@ -210,9 +214,9 @@ class Twins:
 
     @classmethod
     def grown(cls, times: FloatArray, apart: FloatArray, began: float, known: int) -> Twins:
-        """Continue the distance, (K,) relative to the size, to times at which it is no longer small.
+        """Continue a distance, (K,) relative to the size, to times at which the distance is no longer small.
 
-        From the time ``known`` on it is unknown, and set to infinity.
+        From the time ``known`` on, the distance is unknown, and set to infinity.
         """
         if known < len(apart):
             if not known:
@@ -221,7 +225,7 @@ class Twins:
             return cls(np.concatenate((part.apart, np.full(len(apart) - known, np.inf))), part.exponent)
         apart = np.maximum(apart, began)
         over = np.flatnonzero(~(apart < APART))
-        last = int(over[0]) if len(over) else len(apart) - 1  # after it, the same rate is assumed
+        last = int(over[0]) if len(over) else len(apart) - 1  # after this sample, the same rate is assumed
         apart[last] = min(apart[last], 1.0)
         exponent = math.log(apart[last] / began) / float(times[last])
         growth = np.minimum(max(exponent, 0.0) * (times[last + 1 :] - times[last]), MOST_GROWTH)
@@ -231,8 +235,9 @@ class Twins:
     def steps_that_count(self, began: float, steps: int) -> FloatArray:
         """Return the accumulated error at all times, (K,), in units of the error of a single step.
 
-        An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. This
-        is half the number of steps so far for regular motion, and half the number in the last 1 / λ for chaotic motion.
+        An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. For
+        regular motion, this is half the number of steps so far; for chaotic motion, it is half the number of steps in
+        the last 1 / λ.
         """
         before = with_start(self.apart[:-1], began)
         growth = np.log(self.apart / before)
@@ -240,9 +245,9 @@ class Twins:
         return np.asarray(np.cumsum(mean) / self.apart * (steps / len(mean)))
 
     def continued(self, times: FloatArray, error: FloatArray, known: FloatArray) -> FloatArray:
-        """Interpolate an accumulated error, and continue it where it is infinite; (K,) at all times (s).
+        """Interpolate an accumulated error, (K,) at all times (s), and continue it where it is infinite.
 
-        It grows like t times the distance of twins, which grows like t in regular motion.
+        The error grows like t times the distance of twins; in regular motion, this distance grows like t.
         """
         finite = np.isfinite(error)
         if not finite.any():
@@ -258,7 +263,7 @@ class Twins:
 
 def displaced(start: InitialBodies, distance: float) -> InitialBodies:
     """Return initial states with free bodies displaced by an rms distance (m), or by a last bit."""
-    direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
+    direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # displacements of rms length 1
     moved = start.position + distance * direction
     unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))
     moved = np.where(moved == start.position, unmoved, moved)

@@ -38,22 +38,24 @@ from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME
 
-SAMPLES = 64  # times at which runs are compared
-LATER = 1024  # times beyond the trial runs, between which an error grows little
-ENOUGH_SAMPLES = 8  # samples required within the budget; with fewer, the time reached is divided into more
+SAMPLES = 64  # number of times at which runs are compared
+LATER = 1024  # number of times beyond the trial runs; between two of them, an error grows little
+# fewest samples within the budget; if there are fewer, the time that was reached is divided more finely
+ENOUGH_SAMPLES = 8
 FEWEST_SAMPLES = 4  # known samples from which an error is extrapolated to later times
-STEPS_PER_SAMPLE = 8  # smallest number for the coarsest trial run, whose steps end at samples; half with smooth errors
+# fewest steps between samples for the coarsest trial run, whose steps end at samples; half of it with smooth errors
+STEPS_PER_SAMPLE = 8
 # initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
 DISPLACEMENT = 1e-11
 # Ratio of the error by rounding to the distance of twins. With 4, horizons were too early in 8 of 25 cases. With 1.3,
 # errors exceeded the request before the horizon in 11 of 235 cases, by up to a fifteenth of the time.
 SPREAD = 2.5
-LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
-ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
+LARGEST_ERROR = 1.0  # largest error, relative to the size; larger errors are not distinguished
+ROUNDING = 8.0  # rounding ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
 FIRST_SHARE = (
     1.0 / 13.0
-)  # of the budget, for the coarsest trial run; `TRIED` finer ones and a twin take 12 times as much
+)  # fraction of the budget for the coarsest trial run; `TRIED` finer runs and a twin take 12 times as much
 
 
 class ExaminedRuns:
@@ -67,11 +69,11 @@ class ExaminedRuns:
     ) -> None:
         self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
         self._budget = budget
-        # without contacts, errors are smooth in the step, and are extrapolated beyond the times of the trial runs
+        # without contacts, errors depend smoothly on the step, and are extrapolated beyond the times of the trial runs
         self._is_smooth = not require(scene).contact.modelled
         of_smooth = TRIED_OF_SMOOTH, FARTHEST_OF_SMOOTH
         self._tried, self._farthest = of_smooth if self._is_smooth else (TRIED, FARTHEST)
-        # refinement up to which trial runs are always made, or the smallest of a run, if that is larger
+        # refinement up to which trial runs are always made, or the smallest refinement of a run if it is larger
         self._planned = max(COARSEST * RATIO**self._tried, LONGEST)
         self._kept_at_most = math.inf  # s
         self._times = samples(scene.time.duration, SAMPLES)
@@ -84,16 +86,16 @@ class ExaminedRuns:
                 f"this scene; set {least:.1e} or more",
                 ("time", "accuracy"),
             )
-        if integrator(scene).controls_error:  # its error is rounding, which twins a last bit apart show
+        if integrator(scene).controls_error:  # its error is rounding, which twins that start a last bit apart show
             self._twin, self._rounding = displaced(start, 0.0), SPREAD
         else:
             self._twin = displaced(start, DISPLACEMENT * self._scale.size)
             self._rounding = ROUNDING * last_bit / DISPLACEMENT
 
     def _coarsest(self) -> TrialRun:
-        """Return the coarsest trial run, up to a time that finer ones can reach within the budget, too.
+        """Return the coarsest trial run, up to a time that finer trial runs can also reach within the budget.
 
-        It determines the times of comparison.
+        The coarsest trial run determines the times of comparison.
         """
         duration = self._scene.time.duration
         self._times = between_round_times(duration, SAMPLES)
@@ -108,12 +110,12 @@ class ExaminedRuns:
         return run
 
     def _whole(self, run: TrialRun, refinement: float) -> float:
-        """Return the ratio of a whole run of a refinement to a trial run as far as it came."""
+        """Return the cost of a whole run with a refinement, relative to a trial run as far as this came."""
         longer = self._scene.time.duration / run.reached if run.reached > 0.0 else math.inf
         return longer * refinement / run.refinement
 
     def _bound(self, share: float) -> Callable[[int, float], bool]:
-        """Return the condition on which a run of gauss-radau15 goes on, for its fraction of the whole budget."""
+        """Return the condition on which a run of gauss-radau15 goes on, given its fraction of the whole budget."""
         budget, each, begun = self._budget, radau_work(self._scene.count), self._budget.spent
 
         def goes_on(iterations: int, time: float) -> bool:
@@ -144,7 +146,7 @@ class ExaminedRuns:
         return float(error[self._known - 1]) * self._growth(error, self._known)
 
     def _cover(self, times: FloatArray, known: int) -> None:
-        """Record how many of the times a trial run has reached within the budget."""
+        """Record the number of times that a trial run has reached within the budget."""
         if known < len(times) or times[-1] < self._scene.time.duration:
             self._budget.cover(float(times[known - 1]) if known else 0.0)
 
@@ -189,7 +191,7 @@ class ExaminedRuns:
         )
 
     def _refuse(self, covered: float, error: FloatArray) -> None:
-        """Refuse the accuracy; the message names one that could be promised."""
+        """Refuse the accuracy; the message names an accuracy that could be promised."""
         units, until = self._scene.unit_system, self._scene.time.duration
         best = float(error.min(initial=LARGEST_ERROR))
         if best <= LARGEST_ACCURACY:

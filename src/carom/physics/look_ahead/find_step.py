@@ -1,22 +1,23 @@
 """Finds the step that keeps an accuracy, by trial runs of the scene with longer steps.
 
-A run with steps of length h has the error e(t). A run differs from a run of the same scene with steps of h/q by D(t),
-and
+Let e(t) be the error of a run with steps of length h, and D(t) its distance from a run with steps of length h/q. Then
 
     e(t) of the finer run = D(t) / (q^p - 1),     e(t) with steps s times shorter = e(t) / s^p
 
-for an integrator of order p, or with the order that the latest trial runs show, if it is lower. D includes all causes
-of growing errors, such as contacts and chaos. Trial runs start with about the longest useful steps, and shorten them
-until the extrapolation to the required step is short. The run itself then uses that step, and never has to be repeated.
+for an integrator of order p, or with the order that the latest trial runs show, if it is lower. The distance D includes
+all causes of growing errors, such as contacts and chaos. Trial runs start with about the longest useful steps, and
+shorten them until the extrapolation to the required step is short. The run itself then uses that step, and never has to
+be repeated.
 
 Chaos limits every promise. A twin, a run with slightly displaced bodies, shows how errors grow. The error r(t) by
 rounding is proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the
-accuracy. The error of gauss-radau15 is rounding; its twins start a last bit apart and therefore measure this error
-directly. The errors of its longer steps are multiples of the distance between two trial runs, see `RADAU_ERRORS`. The
-largest Lyapunov exponent is the growth rate of the distance of twins, up to the end or until it reaches `APART`.
+accuracy. The error of gauss-radau15 is rounding; its twins start a last bit apart, and so measure this error directly.
+The errors of its longer steps are multiples of the distance between two trial runs, see `RADAU_ERRORS`. The largest
+Lyapunov exponent is the growth rate of the distance of twins, up to the end or until it reaches `APART`.
 
 The look-ahead has a budget (`WorkBudget`). If it is too small for the whole run, the trial runs cover only the
-beginning. With contacts, the promise ends there; without, errors are extrapolated (`onward`).
+beginning. With contacts, the promise ends where the trial runs end; without contacts, errors are extrapolated
+(`onward`).
 """
 
 from __future__ import annotations
@@ -62,37 +63,44 @@ from carom.scene.start import InitialBodies
 if TYPE_CHECKING:
     from carom.physics.integrators.gauss_radau.radau_twin import FollowedOrbits
 
-# samples if bodies meet, since pauses cost more than steps; the second number if a promise ends early
+# number of samples if bodies meet, since pauses cost more than steps; the second number is for a promise that ends
+# early
 FEWER_SAMPLES = (4, 32)
 EXACT = 2.0**-8  # refinement of a trial run with only rounding errors; shorter steps cost more
-EXACT_OF_MANY = 0.125  # the same for many bodies, which have more possible partners in longer steps
-EXACT_UP_TO = 200  # bodies; for more, `EXACT_OF_MANY` applies
-FEWEST_ORBITS = 30.0  # revolutions of the innermost body; the first ones cost little with gauss-radau15
-FINEST_OF_ORBITS = 1e-7  # accuracy; below it, gauss-radau15 is cheaper than wisdom-holman
-HILL_RADII = 3.0  # Hill radii between orbits, so that encounters are rare
-SAMPLES_OF_ORBITS = 16  # samples, each of which takes a corrector and its inverse
-MOST_FORESEEN = 1e6  # growth of an error beyond the trial runs for which steps are shortened; more ends the promise
-MARGIN = 3.0  # expected error over the extrapolated one; with 2, an event in a step exceeded it by a factor of 1.4
-MOST_IDLE = 5  # successive trial runs with shorter steps that hardly change the distance, see `stays`
-# Consecutive comparisons that show that shorter steps would hardly extend a promise; one of them may be chance.
-# Comparisons are ignored while no promise is kept, since the steps may be too long to judge.
+# refinement in place of `EXACT` for many bodies, which have more possible partners in longer steps
+EXACT_OF_MANY = 0.125
+EXACT_UP_TO = 200  # most bodies for `EXACT`; for more, `EXACT_OF_MANY` applies
+FEWEST_ORBITS = 30.0  # fewest revolutions of the innermost body; the first ones cost little with gauss-radau15
+FINEST_OF_ORBITS = 1e-7  # smallest accuracy for wisdom-holman; below it, gauss-radau15 is cheaper
+HILL_RADII = 3.0  # least number of Hill radii between orbits, so that encounters are rare
+SAMPLES_OF_ORBITS = 16  # number of samples; each takes a corrector and its inverse
+# growth of an error beyond the trial runs up to which steps are shortened; more growth ends the promise
+MOST_FORESEEN = 1e6
+# ratio of the expected to the extrapolated error; with 2, an event in a step exceeded it by a factor of 1.4
+MARGIN = 3.0
+MOST_IDLE = 5  # most successive trial runs whose shorter steps hardly change the distance; see `stays`
+# Number of consecutive comparisons that show that shorter steps would hardly extend a promise; a single one may be
+# chance. Comparisons are ignored while no promise is kept, since the steps may be too long to judge.
 MOST_ENOUGH = 2
-STEPS_OF_TWINS = 200  # steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
+# number of steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
+STEPS_OF_TWINS = 200
 RADAU_AHEAD = 2.0**-1.5  # refinement of a trial run with gauss-radau15
 RADAU_LONG = 0.25  # refinement of the run whose distance from the trial run measures its error
-# Refinement, and the error of its steps over that distance. In 40 scenes (Kepler orbits of up to 3000 periods, planets,
-# hierarchical triples, 3 to 60 bodies), the largest ratios at the end were 1.1, 0.2, 0.009 and 0.0013; steps of
-# refinement 1 err by rounding.
+# Refinement, and ratio of the error of its steps to that distance. In 40 scenes (Kepler orbits of up to 3000 periods,
+# planets, hierarchical triples, 3 to 60 bodies), the largest ratios at the end were 1.1, 0.2, 0.009 and 0.0013; steps
+# of refinement 1 err by rounding.
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
 # Integrators that may cost less than Gauss–Radau integration for more bodies than `MAX_IN_ONE_BLOCK`, the cheapest
-# first. With fewer, the comparison would cost more than the run. Each may spend a fraction of the remaining budget.
+# first. With fewer bodies, the comparison would cost more than the run. Each integrator may spend a fraction of the
+# remaining budget.
 CHEAPER: dict[Literal["leapfrog", "yoshida4"], float] = {"leapfrog": 0.5, "yoshida4": 0.6}
-RADAU_STEPS = 0.25  # longest steps of gauss-radau15, over those of leapfrog of refinement 1; 0.18 to 0.31 in clusters
+RADAU_STEPS = 0.25  # longest steps of gauss-radau15, relative to leapfrog's with refinement 1; 0.18 to 0.31 in clusters
 COARSE_ERRORS = 2.0  # the first comparison may overestimate the refinement that is needed by this factor
 
 TWIN_SHARE = (
-    0.25  # of the budget, for a run and for its twin each; the remainder is for a run with long steps, or for leapfrog
+    # fraction of the budget for a run, and for its twin; the remainder is for a run with long steps, or for leapfrog
+    0.25
 )
 
 
@@ -121,9 +129,9 @@ def with_promise(
 class _Found(NamedTuple):
     """A step and the accuracy that it keeps."""
 
-    kept: float  # s, time for which it keeps the accuracy
+    kept: float  # s, time for which the step keeps the accuracy
     refinement: float
-    error: FloatArray  # (K,) relative to the size
+    error: FloatArray  # (K,) error relative to the size
     run: TrialRun  # the trial run with about this step
     known: int  # number of times at which the error is known
 
@@ -156,7 +164,7 @@ class _LookAhead(ExaminedRuns):
     def _find_cheapest(self, usual: Integrator) -> Promise:
         """Return the promise of the cheapest integrator that keeps the accuracy to the end, or else for longest.
 
-        Gauss–Radau integration, if it is the ``usual`` one, is tried where no other is cheaper.
+        Gauss–Radau integration, if it is the ``usual`` one, is tried if no other integrator is cheaper.
         """
         best: Promise | None = None
         refused: SceneError | None = None
@@ -204,7 +212,7 @@ class _LookAhead(ExaminedRuns):
                 run, twins, rounding = self._part_of_orbits(1.0, converges=True)
         if not needs.gravity.modelled:  # parabolas are exact for steps of any length
             refinement, error = RADAU_LONG, rounding
-        elif not SAFETY * self._at_end(rounding) <= self._accuracy:  # no other step keeps it longer
+        elif not SAFETY * self._at_end(rounding) <= self._accuracy:  # no other step keeps the accuracy for longer
             refinement, error = 1.0, rounding
         else:
             missed = twins.continued(self._times, self._missed_by_long_steps(run), run.times)
@@ -221,7 +229,7 @@ class _LookAhead(ExaminedRuns):
         return found
 
     def _missed_by_long_steps(self, run: TrialRun | FollowedOrbits) -> FloatArray:
-        """Return the distance of a run from one with long steps, over the size, at the times of the run, (K',)."""
+        """Return the distance of a run from a run with long steps, relative to the size, at the run's times, (K',)."""
         long: TrialRun | FollowedOrbits
         if isinstance(run, TrialRun):
             long = self._run(RADAU_LONG, times=run.times)
@@ -252,7 +260,7 @@ class _LookAhead(ExaminedRuns):
         self._cover(self._times, run.known)
         apart = np.maximum.accumulate(apart) / self._scale.size
         twins = Twins.grown(self._times, apart, self._began, run.known)
-        if converges:  # its rounding is independent
+        if converges:  # the rounding of the twin is independent
             return run, twins, SPREAD * twins.apart
         steps = twins.steps_that_count(self._began, run.steps)
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
@@ -272,7 +280,7 @@ class _LookAhead(ExaminedRuns):
     def _find_for_steps(self, order: int, coarse: TrialRun | None = None, most: float = math.inf) -> Promise | None:
         """Return the promise of kicks and drifts; None if they would cost more than ``most`` nominal s.
 
-        ``coarse`` is the coarsest trial run, if it is already made.
+        ``coarse`` is the coarsest trial run, if it exists already.
         """
         self._budget.covered = math.inf
         coarse = coarse or self._coarsest()
@@ -281,7 +289,7 @@ class _LookAhead(ExaminedRuns):
         useful = 1.0 if self._is_smooth else largest_useful(order, self._accuracy, self._farthest)
         while len(apart) < self._tried or 2.0 * RATIO * coarse.work <= budget.left:  # including a twin
             refinement *= RATIO
-            share = (budget.left / 2.0) / budget.total  # a twin costs the same again
+            share = (budget.left / 2.0) / budget.total  # a twin costs as much again
             fine = self._run(refinement, share=share, longer=max(1.0, self._planned / refinement))
             apart.append(self._scale.apart(coarse, fine, useful))
             known = min(coarse.known, fine.known)
@@ -323,10 +331,10 @@ class _LookAhead(ExaminedRuns):
             self._times = samples(duration, count)
             run = self._run(refinement, share=TWIN_SHARE)
             run.at(0)
-            if run.rests_from == 0.0:  # another integrator is needed, whatever follows
+            if run.rests_from == 0.0:  # bodies rest from the start, so another integrator is needed
                 run.end()
             run.at(count - 1)
-            if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:  # compare at times that it reaches
+            if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:  # compare at times that the run reaches
                 self._times = samples(run.reached, count)
                 run = self._run(refinement, share=2.0 * TWIN_SHARE)
             known = run.known

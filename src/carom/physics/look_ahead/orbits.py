@@ -1,7 +1,7 @@
 """The longest step of Wisdom–Holman integration that keeps an accuracy, from trial runs of the orbits.
 
-The error is of second order in the step. If D(t) is the distance between runs of refinements r and s, the error of
-refinement q is
+The error is of second order in the step. If D(t) is the distance between runs with the refinements r and s, the error
+with refinement q is
 
     e(t) = D(t) / q² / (1/r² - 1/s²)
 
@@ -23,24 +23,24 @@ from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63 resolve the innermost orbit
-COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between them and 1, the error falls faster than the second order
+COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between these and 1, the error falls faster than with second order
 COMPARED = (1.0, 1.2)
 # Factor on the extrapolated error. In single systems, the error is up to 9 times a second-order term, because it has
-# terms of higher order and either sign.
+# terms of higher order with either sign.
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements that cost less than gauss-radau15
 STEPS_AT_ONCE = 1000  # steps between two checks of the budget
-SHARE = 1.0 / 3.0  # of the budget, for each trial run; the remainder is for gauss-radau15
-FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition if no other integrator is possible
+SHARE = 1.0 / 3.0  # fraction of the budget for each trial run; the remainder is for gauss-radau15
+FINER = (4.0, 8.0, 16.0, 32.0)  # refinements that are also tried if no other integrator is possible
 
 
 class OrbitStep(NamedTuple):
-    """A step that keeps an accuracy, or the finest one tried."""
+    """A step that keeps an accuracy, or the finest step tried."""
 
     refinement: float
-    error: FloatArray  # (K,) m, rms over the bodies, largest so far
+    error: FloatArray  # (K,) m, largest rms error of the bodies so far
     exponent: float  # 1/s, growth rate of the error since the first time
-    keeps: bool  # whether the error is within the requested one
+    keeps: bool  # whether the error is within the requested error
 
 
 def look_at_orbits(
@@ -54,12 +54,13 @@ def look_at_orbits(
 ) -> OrbitStep:
     """Find the longest step that keeps an error of ``most`` m at the times (s), (K,).
 
-    If it ``persists``, steps that cost more than gauss-radau15 are tried, too.
+    With ``persists``, steps that cost more than gauss-radau15 are also tried.
     """
     r, s = COMPARED_ROUGHLY if accuracy >= ROUGH else COMPARED
     d = _follow(scene, start, r, times, budget) - _follow(scene, start, s, times, budget)
     apart = np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))
-    apart = np.maximum.accumulate(np.where(np.isnan(apart), math.inf, apart))  # infinite where a run has failed
+    # distances are infinite where a run has failed
+    apart = np.maximum.accumulate(np.where(np.isnan(apart), math.inf, apart))
     usual = UNEVEN * apart / (1.0 / r**2 - 1.0 / s**2)
     tried = (*CHEAP, *FINER) if persists else CHEAP
     found = next((q for q in tried if q >= r and usual[-1] / q**2 <= most), None)

@@ -1,9 +1,9 @@
 """A trial run, which advances only as far as positions are requested and its share of the budget lasts.
 
 The budget is an amount of work, not of time, so a promise has the same bits on any machine. Work is in nominal seconds:
-the steps, iterations, held contacts and impacts of the trial runs, times their costs measured on one core of
-docs/performance.md. On another or a busy machine the actual time is longer, but the trial runs end at the same step. A
-budget of actual time would give a scene different steps on fast and slow machines.
+the numbers of steps, iterations, held contacts and impacts in the trial runs, times their costs, which were measured on
+one core of the machine in docs/performance.md. On a slower or busy machine, the actual time is longer, but the trial
+runs end at the same step. A budget of actual time would give a scene different steps on fast and slow machines.
 """
 
 from __future__ import annotations
@@ -22,41 +22,43 @@ from carom.scene.load import Scene
 from carom.scene.schema import Expect, Promise
 from carom.scene.start import InitialBodies
 
-LEAST = 0.2  # nominal s, where nothing can touch, so that an error beyond the trial runs can be extrapolated
-# Leapfrog steps that the budget pays for at least, so that trial runs cover 8 samples of 4 steps; more than `LEAST` for
-# more than some 400 bodies.
+LEAST = 0.2  # nominal s, least budget if nothing can touch, so that an error beyond the trial runs can be extrapolated
+# Fewest leapfrog steps that the budget pays for, so that trial runs cover 8 samples of 4 steps; with more than some 400
+# bodies, this is more than `LEAST`.
 LEAST_STEPS = 800
-# Nominal s, where bodies may touch, so that nothing is promised beyond the trial runs. 1 s covers `billiards` at 10⁻⁴,
-# whose steps with friction take Python 0.5 ms each.
+# Nominal s, least budget if bodies may touch, so that nothing is promised beyond the trial runs. 1 s covers `billiards`
+# at 10⁻⁴, whose steps with friction take Python 0.5 ms each.
 LEAST_OF_CONTACTS = 1.5
-MOST_OF_LEAST = 5.0  # nominal s, for many bodies that cannot touch
-PART_OF_RUN = 0.1  # of the nominal time of the run itself, if that is larger
+MOST_OF_LEAST = 5.0  # nominal s, upper limit of the least budget for many bodies that cannot touch
+PART_OF_RUN = 0.1  # budget as a fraction of the nominal time of the run itself, if this is larger
 MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take infinitely many steps
 # Nominal s, accurate to a factor of two: a call from Python, a step in a kernel, and the part of a body or contact in a
 # step.
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
 KERNEL_STEP, KERNEL_BODY = 3e-7, 1e-8
-TABLE_FORCES = 1.5e-5  # the part of Python in a sum of forces of more bodies than `MAX_IN_ONE_BLOCK`
-CONTACT_BODY = 5e-7  # the search, and the next impacts
+TABLE_FORCES = 1.5e-5  # Python's part in a sum of forces for more bodies than `MAX_IN_ONE_BLOCK`
+CONTACT_BODY = 5e-7  # for the search and the next impacts of a body
 HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # for held contacts; the last value for each contact and iteration
 IMPACT = 1.4e-6
-PAIR, FEW_PAIR = 7e-10, 4e-9  # of a direct sum, for each end of a pair; few bodies, whose step examines each pair
-TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5  # of a tree at this opening angle; the number of boxes grows like 1/angle³
-RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 2.5e-7, 9e-9  # of an iteration of Gauss–Radau integration
+# for each end of a pair in a direct sum; the second value is for few bodies, whose step examines each pair
+PAIR, FEW_PAIR = 7e-10, 4e-9
+# for a body in a tree with this opening angle; the number of boxes grows like 1/angle³
+TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5
+RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 2.5e-7, 9e-9  # for an iteration of Gauss–Radau integration
 ITERATIONS = 2.5  # iterations per step
-ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # of Wisdom–Holman integration
-AT_ONCE = 0.05  # nominal s of a kernel between two checks of the budget
+ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # for a step of Wisdom–Holman integration
+AT_ONCE = 0.05  # nominal s that a kernel takes between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
-NEVER = 2**62  # steps between two checks of the energy of a trial run
+NEVER = 2**62  # number of steps between two checks of the energy of a trial run
 
 
 @dataclass
 class WorkBudget:
     """The allowed and the spent work of a look-ahead."""
 
-    duration: float  # s, of the run
-    least: float = LEAST_OF_CONTACTS  # nominal s
-    part: float = 1.0  # of the whole budget of a look-ahead
+    duration: float  # s, duration of the run
+    least: float = LEAST_OF_CONTACTS  # nominal s, least budget
+    part: float = 1.0  # fraction of the whole budget of a look-ahead
     watch: Watcher | None = None  # called now and then during trial runs
     own: float = 0.0  # nominal s, the work of the run itself, estimated from the latest trial run
     spent: float = 0.0  # nominal s
@@ -120,7 +122,8 @@ def step_work(scene: Scene) -> float:
 class TrialRun:
     """A run that advances only as far as positions are requested, at ascending times (s), (K,).
 
-    It may spend a ``share`` of the whole budget. The actual run is estimated to take ``longer`` times its work.
+    It may spend a ``share`` of the whole budget. The actual run is estimated to take ``longer`` times the work of this
+    run.
     """
 
     def __init__(
@@ -138,10 +141,10 @@ class TrialRun:
         record = scene.record.model_copy(update={"check_every": NEVER})
         unchecked = scene.model_copy(update={"promise": promise, "record": record, "expect": Expect()})
         self.refinement = refinement
-        self.rests_from = math.inf  # s, from which contacts rest that the integrator cannot hold
+        self.rests_from = math.inf  # s, time from which contacts rest that the integrator cannot hold
         self.times = times
         self.work = 0.0  # nominal s so far
-        self.is_cut = False  # whether it ended because its share of the budget was spent
+        self.is_cut = False  # whether the run ended because its share of the budget was spent
         self.share = share
         self._budget, self._longer = budget or WorkBudget(scene.time.duration), longer
         self._simulation = Simulation(unchecked, start, threads)
@@ -153,7 +156,7 @@ class TrialRun:
         self._each = step_work(scene)
         self._most = max(1, int(AT_ONCE / self._each))
         self._failed = False
-        self._positions: list[FloatArray] = []  # (n, 3) m, at each of the times so far
+        self._positions: list[FloatArray] = []  # (n, 3) m, positions at each of the times so far
 
     @property
     def known(self) -> int:
@@ -184,7 +187,7 @@ class TrialRun:
         self.is_cut = True
 
     def again(self, start: InitialBodies) -> TrialRun:
-        """Complete this run, then return a run from another initial state that reuses its memory."""
+        """Complete this run; then return a run from another initial state, which reuses the memory of this run."""
         self.at(len(self.times) - 1)
         other = copy(self)
         other.rests_from, other.work, other.is_cut, other._failed, other._positions = math.inf, 0.0, False, False, []
@@ -192,7 +195,7 @@ class TrialRun:
         return other
 
     def _advance(self, time: float) -> None:
-        """Advance to a time (s) and store the positions there, unless the share of the budget ends before."""
+        """Advance to a time (s) and store the positions there, unless the share of the budget is spent earlier."""
         simulation = self._simulation
         while simulation.time < time:
             if self.work > self.share * self._budget.total:

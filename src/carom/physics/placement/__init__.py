@@ -1,4 +1,4 @@
-"""Initial states of the bodies: explicit ones as written, groups at random without overlaps."""
+"""Initial states: explicit bodies as written, groups at random without overlaps."""
 
 from carom.physics.placement.initial_state import place
 from carom.physics.placement.region import packing_fraction

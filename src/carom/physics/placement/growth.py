@@ -2,9 +2,9 @@
 
 Random addition jams at a packing of 0.38. Here spheres start at random positions, small enough for a packing of 0.2.
 They then grow at one relative rate while they fly straight and bounce elastically off each other, the border of the
-region, planes, and bodies placed before (Lubachevsky & Stillinger 1990, J. Stat. Phys. 60, 561). The more often they
-bounce, the more slowly they grow: at 1 radius/s they would jam below 0.6. Equal spheres never reach a random close
-packing, 0.64.
+region, planes, and bodies that were placed earlier (Lubachevsky & Stillinger 1990, J. Stat. Phys. 60, 561). The more
+often they bounce, the more slowly they grow: with 1 radius/s throughout, they would jam below 0.6. Equal spheres never
+reach a random close packing, 0.64.
 
 With the sum of radii D (1 + k s), the time s of impact of two spheres follows from the formula for constant radii:
 
@@ -42,11 +42,11 @@ from carom.scene.units.system import UnitSystem
 DENSEST = 0.62  # largest packing: equal spheres jam at 0.634 to 0.64, and growth takes very long just below
 BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # coefficients, see `densest`
 LOOSE = 0.2  # packing of the random start
-INFLATED = 1e-6  # excess growth, in radii, so that rounding leaves no overlap
+INFLATED = 1e-6  # excess growth, in radii, so that rounding causes no overlap
 SKIN = 0.3  # distance, in radii, that a sphere may move until neighbours are searched again
 PASS = 0.1  # s, longest time until speeds are reset to 1 radius/s per axis
 FASTEST, SLOWEST = 1.0, 1e-3  # 1/s, rates of growth
-EASE = 10.0  # 1/s², rate of growth times the impacts of a sphere per second
+EASE = 10.0  # 1/s², product of the rate of growth and the impacts of a sphere per second
 MOST_IMPACTS = 5000  # mean number of impacts per sphere above which spheres have jammed
 MOST_AT_ONCE = 30  # mean number of impacts per sphere in a pass
 
@@ -58,8 +58,8 @@ def densest(radius: FloatArray) -> float:
 
         0.634 + 0.0658 δ + 0.0857 S δ²
 
-    with the standard deviation δ of the radii over their mean, and their skewness S (Desmond & Weeks 2014, Phys. Rev. E
-    90, 022204). For equal spheres, `DENSEST` is used instead of 0.634.
+    where δ is the standard deviation of the radii divided by their mean, and S is their skewness (Desmond & Weeks 2014,
+    Phys. Rev. E 90, 022204). For equal spheres, `DENSEST` is used instead of 0.634.
     """
     mean = float(radius.mean())
     apart = radius / mean - 1.0
@@ -171,8 +171,8 @@ class GrowingSphereRecord(Protocol):
     now: float  # s, time of the position from the beginning of the flight
     impacts: int  # impacts of the sphere so far in this flight
     impact_time: float  # s, time of the next impact; infinite if there is none
-    partner: int  # other end of that impact: sphere j, or the number of spheres + k for border k
-    partner_impacts: int  # impacts of the partner when this impact was predicted
+    partner: int  # other end of the next impact: sphere j, or the number of spheres + k for border k
+    partner_impacts: int  # number of the partner's impacts when the next impact was predicted
     queue_place: int  # see `put`
 
 
@@ -202,7 +202,7 @@ class FlightSpace(NamedTuple):
     ends: IntArray  # (n + 1,) the neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``
     others: IntArray
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
-    images: int  # further images on either side that a body can meet, in a box of a few radii
+    images: int  # number of further images on either side that a body can meet, in a box of a few radii
 
 
 @long_kernel
@@ -268,7 +268,7 @@ def _time_in_skin(a: GrowingSphereRecord) -> float:
 
 @inner
 def _bounce(a: GrowingSphereRecord, b: GrowingSphereRecord, box: FloatArray) -> None:
-    """Let two spheres rebound; a fixed one has inverse mass 0."""
+    """Let two spheres rebound; a fixed sphere has inverse mass 0."""
     nx, ny, nz = b.x - a.x, b.y - a.y, b.z - a.z
     nx, ny, nz = nearest_image(nx, ny, nz, box)
     d2 = nx * nx + ny * ny + nz * nz

@@ -1,4 +1,4 @@
-"""Initial states of the bodies: explicit bodies and data as given, then groups without overlaps."""
+"""Initial states of the bodies: explicit bodies and bodies from data as given, then groups without overlaps."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import NumberedNames, body_called, body_key
 
-MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
+MOST_FILLED = 0.7404  # packing fraction of the densest lattices, π/√18
 
 
 def place(scene: Scene) -> InitialBodies:
@@ -46,8 +46,8 @@ def place(scene: Scene) -> InitialBodies:
     Raises
     ------
     SceneError
-        If the memory is too small, bodies with given positions overlap each other or a plane and the scene does not
-        allow it, or a group does not fit.
+        If the memory is too small, a group does not fit, or bodies with given positions overlap each other or a plane
+        although the scene does not allow it.
     """
     with naming_places(scene):
         refuse_small_memory(scene)
@@ -89,7 +89,7 @@ def place(scene: Scene) -> InitialBodies:
                 arrange = _arrange(group)
                 try:
                     position = arrange(mixture, region, radius, around, streams[index], units)
-                except SceneError:  # a region that the scene does not give may be the whole domain
+                except SceneError:  # without a region in the scene, bodies may fill the whole domain
                     if group.region is not None or scene.domain.size is None or "open" in scene.domain.axes:
                         raise
                     whole = Region(shape="box", size=scene.domain.size)
@@ -116,7 +116,7 @@ def _enters(scene: Scene, part: InitialBodies) -> bool:
 
 
 def _arrange(group: BodyGroup) -> Arrange:
-    """Return the arrangement that places a group: bodies that enter one by one may have the same place."""
+    """Return the arrangement that places a group: bodies that enter one by one may share a place."""
     if group.arrangement == "random" and group.release is not None and group.release.rate is not None:
         return scattered
     return arrangement_called(group.arrangement).arrange
@@ -127,7 +127,7 @@ def _inside(scene: Scene, start: InitialBodies, box: FloatArray) -> InitialBodie
     half, velocity = 0.5 * box, start.velocity
     images = np.where(np.abs(start.position) > half, np.floor(start.position / box + 0.5), 0.0)
     position = np.clip(start.position - box * images, -half, half)  # rounding may put an image an ulp outside
-    if scene.domain.shear:  # groups move with the flow, and images with the box
+    if scene.domain.shear:  # groups move with the flow, images with the box
         flow, gradient = scene.domain.shear.axes
         carried = np.where(start.group >= 0, start.position[:, gradient], 0.0) - box[gradient] * images[:, gradient]
         velocity = velocity.copy()
@@ -282,7 +282,7 @@ def _refuse_full_box(scene: Scene) -> None:
 
 # checks of initial states: overlaps, and numbers out of range
 MOST_PAIRS = 3  # most pairs that a message names
-WRITTEN = 5e-7  # half a unit in the last of seven digits, the fewest that files and people write
+WRITTEN = 5e-7  # half a unit in the last of seven digits: files and people write at least seven
 MOST_WRITTEN = 1e-3  # largest overlap, in radii, that is due to the rounding of a file
 
 

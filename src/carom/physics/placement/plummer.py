@@ -17,8 +17,8 @@ from carom.arrays import FloatArray
 from carom.physics.placement.region import PlummerModel
 from carom.scene.portable_math import cube_root
 
-EQUILIBRIUM = 0.5  # kinetic over potential energy
-HIGHEST = 0.1  # more than the largest value of g(q), 0.092
+EQUILIBRIUM = 0.5  # ratio of kinetic to potential energy in equilibrium
+HIGHEST = 0.1  # a bound above the largest value of g(q), 0.092
 
 
 def mass_within(distance: float, scale: float) -> float:
@@ -38,7 +38,7 @@ def drawn_velocities(
 ) -> FloatArray:
     """Draw isotropic velocities, (n, 3) m/s, at distances from the centre, (n,) m.
 
-    ``parameter`` is G M of the whole model in m³/s², ``virial`` the kinetic over the potential energy.
+    ``parameter`` is G M of the whole model in m³/s², ``virial`` is the ratio of the kinetic to the potential energy.
     """
     q, missing = np.zeros(len(distance)), np.arange(len(distance))
     while len(missing):

@@ -1,12 +1,12 @@
 """Spheres at random places without overlaps.
 
-Candidates are generated, 1.2 per body, and filtered: a broad phase with grids or k-d trees, then the exact test.
-Colliding candidates are replaced by new ones until each body has one.
+Candidates are generated, 1.2 per body, and filtered: first by a broad phase with grids or k-d trees, then by the exact
+test. New candidates replace colliding ones until each body has a candidate.
 
 Two grids cover the region of accepted spheres (`Occupancy`). A coarse cell holds at most one centre, since accepted
 spheres do not overlap. A fine cell is marked if every centre in it would overlap an accepted sphere; this rejects most
-candidates. The others are tested exactly against the centres in nearby cells, so the result has the bits of a search
-through all spheres.
+candidates. The others are tested exactly against the centres in nearby cells, so the result equals a search through all
+spheres, bit for bit.
 """
 
 from __future__ import annotations
@@ -30,12 +30,13 @@ from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.system import UnitSystem
 
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
-FINE_CELL = 0.34  # of the smallest radius
+FINE_CELL = 0.34  # edge of a fine cell, in smallest radii
 MOST_CELLS = 100_000_000  # most cells of the fine grid, one byte each
-MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a plain search is fast
+# with more cells, the region is nearly empty: few candidates collide, and a plain search is fast
+MOST_CELLS_PER_BODY = 4000
 MARGIN = 1.0 + 1e-9  # allowance for the rounding of the positions of cells
-AT_ONCE = 4096  # spheres that are accepted together, for some 10 MB of cells
-CELLS_AT_ONCE = 16  # cells examined at a time; most candidates touch something in the first of them
+AT_ONCE = 4096  # number of spheres that are accepted together, for some 10 MB of cells
+CELLS_AT_ONCE = 16  # number of cells examined at a time; most candidates touch something in the first of these
 
 
 class _Grid:
@@ -58,9 +59,10 @@ class _Grid:
         return np.asarray((at[:, 0] * self.shape[1] + at[:, 1]) * self.shape[2] + at[:, 2])
 
     def offsets(self, nearest: float, farthest: float) -> IntArray:
-        """Return the offsets to cells within a range of a cell, the nearest first.
+        """Return the offsets from a cell to the cells within a range, the nearest first.
 
-        Some points of both cells may be as close as ``nearest``, and no two are farther apart than ``farthest``, in m.
+        Two points of both cells may be as close as ``nearest``, and no two points are farther apart than ``farthest``,
+        in m.
         """
         steps = math.ceil(nearest / self.cell) + 1
         line = np.arange(-steps, steps + 1)
@@ -76,7 +78,7 @@ class _Grid:
 class Occupancy:
     """The accepted spheres of one size class, whose radii differ by less than a factor of two.
 
-    ``low`` and ``high``, (3,) m, are corners of the region, and ``radius``, (n,) m, the radii of the whole class.
+    ``low`` and ``high``, (3,) m, are corners of the region, and ``radius``, (n,) m, has the radii of the whole class.
     """
 
     def __init__(self, low: FloatArray, high: FloatArray, radius: FloatArray) -> None:
@@ -92,12 +94,12 @@ class Occupancy:
 
     @staticmethod
     def pays(low: FloatArray, high: FloatArray, radius: FloatArray) -> bool:
-        """Return whether the grids are small enough for the memory and the number of spheres."""
+        """Return whether the grids are small enough for the memory, and worthwhile for the number of spheres."""
         cells = math.prod(((high - low) / (FINE_CELL * radius.min()) + 12.0).tolist())
         return bool(cells < min(MOST_CELLS, MOST_CELLS_PER_BODY * len(radius)))
 
     def add(self, position: FloatArray, radius: FloatArray) -> None:
-        """Accept spheres that touch no accepted ones."""
+        """Accept spheres, none of which touches an accepted sphere."""
         first = len(self._position)
         self._owner[self._coarse.cells(position)] = np.arange(first, first + len(position))
         cells = self._fine.cells(position)
@@ -124,7 +126,7 @@ class Occupancy:
 
 CANDIDATES_PER_BODY = 1.2
 MOST_ROUNDS = 400  # rounds of generating and filtering for one size class
-MOST_DRAWN = 50_000_000  # candidates for one size class
+MOST_DRAWN = 50_000_000  # most candidates for one size class
 
 
 def positions(
@@ -186,8 +188,8 @@ def _place_class(
     """Generate and filter one size class.
 
     The pool keeps the order of arrival; of two colliding candidates, the newer one is removed. No round therefore loses
-    an accepted candidate. Each round tops the pool up to 1.2 n. ``owner`` is the body whose radius a candidate has;
-    only the first accepted candidate of each body is kept.
+    an accepted candidate. Each round tops the pool up to 1.2 n. A candidate has the radius of its body, ``owner``; only
+    the first accepted candidate of each body is kept.
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
@@ -247,7 +249,7 @@ def _is_inside(corners: tuple[FloatArray, FloatArray], box: FloatArray) -> bool:
 def _clean(
     pool: FloatArray, candidates: FloatArray, accepted: FloatArray, radius: FloatArray, box: FloatArray | None
 ) -> IntArray:
-    """Return the candidates that touch no accepted sphere and no older candidate; the oldest come first.
+    """Return the candidates that touch no accepted sphere and no older candidate; the oldest candidates come first.
 
     ``pool``, (k, 3) m, and ``accepted``, (k,) m, are the centres and radii of the accepted spheres.
     """

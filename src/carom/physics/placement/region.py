@@ -20,8 +20,8 @@ from carom.scene.units.system import UnitSystem
 if TYPE_CHECKING:
     from carom.physics.placement.neighbours import Surroundings
 
-DEFAULT_PACKING = 0.1  # packing of a group without a region
-LEAST_SIZE = 1.01  # smallest size of such a region, in radii of the largest body, so that it has room to be placed
+DEFAULT_PACKING = 0.1  # packing fraction of a group without a region
+LEAST_SIZE = 1.01  # smallest default region, in radii of the largest body, so that this body can be placed
 FARTHEST = 10.0  # default radius of a plummer region, in its scale; it contains 98.5 % of the mass
 ROUNDING = 1e-12  # rounding relative to the size of a region
 
@@ -52,7 +52,7 @@ class Arrangement(NamedTuple):
 
     arrange: Arrange
     fullest: Callable[[FloatArray], float]  # largest packing of spheres with the given radii (n,); inf if unknown
-    limit: str = ""  # beginning of the message that names this packing
+    limit: str = ""  # beginning of the message that states the largest packing
 
 
 class PlummerModel(NamedTuple):
@@ -76,14 +76,14 @@ def plummer() -> PlummerModel:
 
 
 def packing_fraction(group: BodyGroup) -> float:
-    """Return the expected volume of a group's spheres over the volume of its region."""
+    """Return the expected volume of a group's spheres, divided by the volume of its region."""
     if group.region is None:
         return DEFAULT_PACKING
     return mean_volume(group) * group.count / volume(group.region)
 
 
 def volume(region: Region) -> float:
-    """Return the volume of a region in m³; for Plummer's model, its mass over its central density."""
+    """Return the volume of a region in m³; for Plummer's model, its mass divided by its central density."""
     radius = 0.0 if region.radius is None else region.radius
     match region.shape:
         case "box":

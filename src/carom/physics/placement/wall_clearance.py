@@ -1,10 +1,10 @@
 """Checks that the walls of a scene leave space for bodies, at the start and as they move.
 
 Walls at rest may cross: planes form boxes, and an end plane cuts a cylinder. Two things are mistakes: a wall behind
-another one, where no body can be, and walls that are apart at the start and meet later, which crush the bodies between
-them. A wall is represented by points of the surface with which it is drawn. In the frame of another wall, these points
-move by the difference of both displacements, so they cannot meet that wall before the difference is as long as their
-distance.
+another wall, where no body can be; and walls that are apart at the start but meet later, and crush the bodies between
+them. A wall is represented by points of its drawn surface. In the frame of another wall, these points move by the
+difference of both displacements. They cannot meet the other wall until this difference is as long as their distance
+from it.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.wall_shapes import shape_called
 
-TOUCHING = 1e-6  # distance, in sizes of a wall, of walls that touch with coordinates rounded to seven digits
+TOUCHING = 1e-6  # walls this close, in sizes of a wall, touch: coordinates may be rounded to seven digits
 OPPOSED = 1e-12  # largest difference of the normals of parallel planes
-LONGEST_STEP = 1.0 / 512.0  # longest step as a fraction of the run, where the distance of touching walls allows more
+# longest step as a fraction of the run, if the distance of touching walls allows a longer one
+LONGEST_STEP = 1.0 / 512.0
 MOST_STEPS = 4096  # most steps that are checked, for walls that oscillate close to each other
 HALVINGS = 3  # halvings of the sides of drawn triangles
 ENOUGH_TRIANGLES = 256
@@ -46,7 +47,7 @@ def refuse_crossing_walls(scene: Scene, start: InitialBodies, solids: HalfSpaces
     is_thin = [False] * first + [shape.thin for shape in shapes]
     for one, points in _surfaces(scene, start, solids):
         touching = TOUCHING * float(np.sqrt(np.square(np.ptp(points, axis=0)).sum()))
-        # no point of a plate may be outside of another wall, and not all points of a hollow shape
+        # no point of a plate may be outside of another wall; of a hollow shape, some points may
         farthest = np.min if is_thin[one] else np.max
         for other in range(len(solids)):
             if other == one:
@@ -104,7 +105,7 @@ def _refuse_meeting(
 
 
 def _between(solids: SolidsWithWalls, one: int, other: int, time: float) -> FloatArray:
-    """Return the displacement (m) of a wall relative to another one at a time (s)."""
+    """Return the displacement (m) of a wall relative to another wall at a time (s)."""
     return _displacement(solids.motions[one], time) - _displacement(solids.motions[other], time)
 
 
@@ -124,7 +125,7 @@ def _surfaces(scene: Scene, start: InitialBodies, solids: SolidsWithWalls) -> It
     first, centre = len(solids) - len(scene.wall), start.position.mean(axis=0)
     reach = float(np.abs(start.position - centre).max() + start.radius.max())
     fastest = max((_fastest(motion) for motion in solids.motions if motion is not None), default=0.0)
-    reach += fastest * scene.time.duration  # no wall moves past the ends of an endless one
+    reach += fastest * scene.time.duration  # endless walls are drawn so long that no wall moves past their ends
     for number, wall in enumerate(scene.wall, start=first):
         mesh = shape_called(wall.shape).mesh(wall.section, centre, reach)
         triangles = mesh.corners[mesh.triangles]

@@ -224,7 +224,7 @@ def _converge(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: floa
 
 @inline
 def stops(iteration: int, error: float, before: float, tolerance: float) -> bool:
-    """Return whether iterations end: the residual is small, would be after an equal reduction, or no longer falls."""
+    """Return whether iterations end: the residual is small, will be small next time, or no longer falls."""
     return error < tolerance or (iteration > 0 and (error >= before or error * (error / before) < tolerance))
 
 

@@ -1,14 +1,14 @@
-"""The steps of Wisdom–Holman integration: many equal ones, or a single one of any length.
+"""The steps of Wisdom–Holman integration: many equal steps, or a single step of any length.
 
 `wisdom_holman` has the Hamiltonian. A change of variables removes the error terms in ε with all even powers of h
 (Wisdom, Holman & Touma 1996). The integration runs in the changed variables. A symplectic corrector converts the state
-to these at the start, and back for output. With x for h times the rate of change along the
-orbits, its generator is H_mutual times (1 - x/2 / sinh(x/2))/x. It is a product of `STAGES` factors
+to the changed variables at the start, and back for output. If x stands for h times the rate of change along the orbits,
+the generator of the corrector is H_mutual times (1 - x/2 / sinh(x/2))/x. The corrector is a product of `STAGES` factors
 
     drift(a h) kick(b h) drift(-2 a h) kick(-b h) drift(a h),        a = k `SPREAD`
 
-each of which adds 2 b sinh(a x) to first order in ε. The sum agrees with the generator up to x^{2 `STAGES` - 1}. Errors
-in ε² h² remain.
+and each factor adds 2 b sinh(a x) to first order in ε. The sum of these terms agrees with the generator up to x^{2
+`STAGES` - 1}. Errors in ε² h² remain.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ class RunRecord(Protocol):
     """The progress of an integration."""
 
     start: float  # s, start of the present series of equal steps
-    count: int  # steps since then
+    count: int  # number of steps since then
     dt: float  # s
     time: float  # s, the present time
     before: float  # s, time before the last step
-    steps: int  # steps in this call
+    steps: int  # number of steps in this call
     close: int  # 1 if the next step would meet a close encounter
 
 
@@ -43,8 +43,8 @@ RUN = dtype_of(RunRecord)
 LANES_FROM = 64  # number of bodies from which pairs are summed in SIMD lanes
 STAGES = 4  # stages of the corrector
 SPREAD = Fraction(2, 5)
-UNRESOLVED = 2.0  # a step longer than √(r³/μ) divided by this is an eighth of an orbit or more
-SEPARATED = 1.2  # distance at which an encounter ends, over the distance at which it begins
+UNRESOLVED = 2.0  # a step longer than √(r³/μ) divided by this number is an eighth of an orbit or more
+SEPARATED = 1.2  # ratio of the distances at which an encounter ends and begins
 
 
 class OrbitArrays(NamedTuple):
@@ -70,7 +70,7 @@ class OrbitArrays(NamedTuple):
 
 @inner
 def from_jacobi(x: FloatArray, mass_fraction: FloatArray, place: FloatArray) -> None:
-    """Convert Jacobi coordinates or their rates to Cartesian ones about the centre of mass."""
+    """Convert Jacobi coordinates, or their rates, to Cartesian coordinates about the centre of mass."""
     rx, ry, rz = 0.0, 0.0, 0.0  # centre of mass of the bodies up to i
     for i in range(len(x) - 1, 0, -1):
         px, py, pz = vector(x, i)
@@ -81,7 +81,7 @@ def from_jacobi(x: FloatArray, mass_fraction: FloatArray, place: FloatArray) -> 
 
 @inner
 def to_jacobi(place: FloatArray, order: IntArray, mass_fraction: FloatArray, x: FloatArray) -> None:
-    """Convert Cartesian coordinates or rates, in the order of the scene, to Jacobi ones."""
+    """Convert Cartesian coordinates, or their rates, in the order of the scene to Jacobi coordinates."""
     first = order[0]
     rx, ry, rz = vector(place, first)
     for i in range(1, len(x)):
@@ -109,7 +109,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
         _mutual(o.place, o.gm, o.acceleration)
     else:
         _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
-    # turns Cartesian into Jacobi accelerations, without those of the Kepler orbits
+    # turns Cartesian accelerations into Jacobi accelerations, without the accelerations of the Kepler orbits
     a, mass_fraction = o.acceleration, o.mass_fraction
     rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
@@ -125,7 +125,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
 
 @inner
 def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
-    """Write the accelerations by all pairs but the pair of the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
+    """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
     n = len(place)
     for i in range(min(n, 2)):
         write(a, i, 0.0, 0.0, 0.0)
@@ -144,9 +144,9 @@ def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
 
 @inner
 def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
-    """Write the same accelerations of many bodies, which are in SIMD lanes."""
+    """Write the accelerations of `_mutual` for many bodies, in SIMD lanes."""
     n = len(place)
-    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant body
+    sx, sy, sz = 0.0, 0.0, 0.0  # sums of the dominant body
     for i in range(1, n):
         dx, dy, dz = between(place, i, 0)
         f, g, _ = mutual_attraction(dx, dy, dz, gm[i], gm[0], 0.0) if i > 1 else (0.0, 0.0, 0.0)
@@ -200,7 +200,7 @@ def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: fl
 
 @inner
 def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) -> None:
-    """Apply the corrector, or its inverse: into the variables of the steps or out of them."""
+    """Apply the corrector or its inverse: convert to the variables of the steps, or back."""
     pending = 0.0  # s, length of the drift that is still pending
     for stage in range(STAGES):
         k = stage if into else STAGES - 1 - stage

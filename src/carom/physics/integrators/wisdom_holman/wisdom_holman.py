@@ -1,4 +1,4 @@
-"""Wisdom–Holman integration of bodies about a dominant one; Gauss–Radau integration takes over close encounters.
+"""Wisdom–Holman integration of bodies about a dominant body; Gauss–Radau integration takes over close encounters.
 
 In Jacobi coordinates, the position of each body is relative to the centre of mass of all bodies before it, in the order
 of their semi-major axes. With M_i = m_0 + … + m_i and m'_i = m_i M_{i-1}/M_i, the Hamiltonian is a sum of two parts,
@@ -8,16 +8,16 @@ each of which can be solved exactly (Wisdom & Holman 1991):
     H_mutual = Σ_{i≥2} G m'_i M_i / |x'_i| - Σ_{i<j, j≥2} G m_i m_j / |x_i - x_j|
 
 A step of length h drifts along Kepler's orbits for h/2 (`kepler`), kicks by H_mutual for h, and drifts for h/2 again.
-The half drifts of successive steps are joined. For masses ε relative to the dominant one, a step conserves
+The half drifts of successive steps are joined. For masses ε relative to the dominant body, a step conserves
 
     H + ε h²/24 … + O(ε² h²)
 
 A corrector undoes the terms in ε (`orbit_steps`); errors in ε² h² remain.
 
-The step is the shortest period over `STEPS_PER_ORBIT`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
-the period of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
-`HILL_RADII` of their Hill radii, or one comes so close to the dominant body that the step no longer resolves its
-motion, the state before that step is passed to `GaussRadau15`, which integrates all bodies until they are far apart
+The step is the shortest period divided by `STEPS_PER_ORBIT`, or by `STEPS_OF_HEAVY` for bodies above `HEAVY`. The
+period is the period of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass
+within `HILL_RADII` of their Hill radii, or a body comes so close to the dominant body that the step no longer resolves
+its motion, the state before this step is passed to `GaussRadau15`, which integrates all bodies until they are far apart
 again.
 """
 
@@ -43,10 +43,11 @@ from carom.state.checkpoint import EqualSteps, IntegratorCheckpoint, OrbitCheckp
 
 HILL_RADII = 12.0  # distance, in Hill radii, within which bodies on crossing orbits are close (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # distance of two orbits, in Hill radii, beyond which their bodies never come close
-GAP_FRACTION = 0.9  # fraction of the distance between two orbits; bodies nearer than this have left their orbits
+GAP_FRACTION = 0.9  # fraction of the distance between two orbits; bodies that are nearer have left their orbits
 NEAREST = 0.03  # fraction of the semi-major axis; closer passages are left to Gauss–Radau integration
-STEPS_PER_ORBIT = 20.0  # of the shortest orbit
-# The same for bodies above `HEAVY`: the error of their encounters grows as the square of the mass and of the step.
+STEPS_PER_ORBIT = 20.0  # steps per period of the shortest orbit
+# Steps per period for bodies above `HEAVY`: the error of their encounters grows as the square of the mass and of the
+# step.
 STEPS_OF_HEAVY = 50.0
 HEAVY = 2e-5  # mass relative to the dominant body
 FIRST_FRACTION = 0.01  # the first step that Gauss–Radau integration tries, as a fraction of the last step
@@ -100,7 +101,7 @@ def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
 
 
 class WisdomHolman:
-    """Integrates bodies that orbit a dominant one, many steps per call, in place.
+    """Integrates bodies that orbit a dominant body, many steps per call, in place.
 
     Without a ``fixed_dt``, steps are a fraction of the shortest orbit, divided by ``refinement``. With ``resolves``,
     close encounters of light bodies are left to Gauss–Radau integration. ``gm`` is G m of each body, (n,) m³/s².
@@ -145,7 +146,7 @@ class WisdomHolman:
         self._radau = GaussRadau15(motion_of(position, velocity, gm, none_fixed, no_field, 0.0), max_dt, None)
         self._phase = ANEW
         self._by_radau = False  # whether Gauss–Radau integration took the last step
-        self.encounters = 0  # how often Gauss–Radau integration took over
+        self.encounters = 0  # number of times that Gauss–Radau integration took over
 
     @property
     def next_dt(self) -> float:
