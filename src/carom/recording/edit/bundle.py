@@ -1,7 +1,7 @@
 """Writes and reads the zip file that is attached to a bug report.
 
-A bundle may come from a stranger. Only its recording is written to disk, under a name that carom chooses, and no more
-bytes than it declares.
+A bundle may come from a stranger. Only its recording is written to disk, under a name that carom chooses, and with no
+more bytes than the bundle declares.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carom.recording.write.whole_file import Claim, whole_file
 
 CLIP = "clip.rrd"
 LARGEST = 10_000_000  # most bytes of a bundle, a common limit for attachments
-MOST_UNPACKED = 1_000_000_000  # bytes
+MOST_UNPACKED = 1_000_000_000  # most bytes of an unpacked recording
 MOST_TIMES = 1000  # highest compression ratio of deflate; a higher ratio is a zip bomb
 MOST_MEMBERS = 100
 _PIECE = 1 << 20
@@ -60,9 +60,9 @@ def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Path]:
-    """Yield the path of a recording: the file itself, or one unpacked from a bundle while the context lasts.
+    """Yield the path of a recording: the file itself, or while the context lasts, a file unpacked from a bundle.
 
-    Raises RecordingError if a bundle is damaged, or contains no recording or a malformed one.
+    Raises RecordingError if a bundle is damaged, or contains no recording, or a malformed one.
     """
     if not is_bundle(path):
         yield path

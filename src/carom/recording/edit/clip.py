@@ -34,7 +34,7 @@ _ROUNDING = 8 * float(np.finfo(np.float32).eps)  # relative error of a few float
 class Selection:
     """Keeps the spheres and arrows of selected bodies, and the contacts among them.
 
-    A contact is kept if both of its bodies are kept, or if its body is kept and the other end is a plane. With
+    A contact is kept if both of its bodies are kept, or if one end is a kept body and the other end is a plane. With
     ``record.impacts = "none"``, a recording has the lines of contacts without the numbers of their bodies. The numbers
     are derived from the ends of a line, so the chunk with the centres must come before the chunk with the contacts.
     """
@@ -47,7 +47,7 @@ class Selection:
         bodies: int,  # number of all bodies
     ) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
-        # indices of the kept bodies among those that the source shows
+        # indices of the kept bodies among the bodies that the source shows
         self._places = np.searchsorted(np.asarray(shown), self._numbers)
         self._shown = len(shown)
         self._box = box
@@ -126,11 +126,12 @@ def _masked(chunk: Chunk, masks: list[BoolArray]) -> Chunk:
     columns = {}
     for name in chunk.components:
         found = pc.list_value_length(chunk.batch[name]).to_pylist()
-        if name in ("impact_count", paths.IMPACT_SUMS, paths.FLOOR):  # describe a whole row, whatever its contacts
+        # these components describe a whole row, whatever its contacts
+        if name in ("impact_count", paths.IMPACT_SUMS, paths.FLOOR):
             continue
         if found == lengths:
             columns[name] = _lists(chunk.batch[name], np.flatnonzero(mask), each)
-        elif found == [2 * length for length in lengths]:  # pairs
+        elif found == [2 * length for length in lengths]:  # the component has two values per item
             columns[name] = _lists(chunk.batch[name], np.flatnonzero(np.repeat(mask, 2)), 2 * each)
     return _replaced(chunk, columns)
 
@@ -149,7 +150,8 @@ def _replaced(chunk: Chunk, columns: dict[str, pa.Array]) -> Chunk:
 
 PROPERTY = "clip"
 
-_STATES = (paths.PHASE, paths.DT_LIMIT)  # entities with rows only at changes: the last row before the cut still applies
+# entities with rows only at changes, whose last row before the cut still applies
+_STATES = (paths.PHASE, paths.DT_LIMIT)
 _PATH, _KIND, _COMPONENT = b"rerun:entity_path", b"rerun:kind", b"rerun:component"
 
 
@@ -191,9 +193,9 @@ def clip(
     """Cut the frames between two simulated times out of a recording.
 
     Both times (s) are included. An existing file is replaced when the clip is complete. ``bodies`` are the numbers of
-    the bodies to show; None shows all. Exact states and fingerprints describe all bodies, so a clip of a few bodies can
-    be replayed, too. Without exact states, the clip is smaller and contains nothing about the other bodies, but cannot
-    be replayed.
+    the bodies to show; None shows all. Exact states and fingerprints describe all bodies, so even a clip of a few
+    bodies can be replayed. Without exact states, the clip is smaller and contains nothing about the other bodies, but
+    cannot be replayed.
 
     Raises RecordingError if the source cannot be read, has no frame in the interval or no such body, or the clip cannot
     be written.
@@ -206,7 +208,7 @@ def clip(
         selection = None if bodies is None else _selection(recording, bodies)
         first = _start(recording, cut) if exact else None
         with Writer(Path(out), recording.store.application_id, str(uuid.uuid4())) as writer:
-            # written first: otherwise a killed clip would claim to end as the whole run does
+            # written first, because an unfinished clip would otherwise claim the outcome of the whole run
             about: dict[str, Scalar | IntArray] = {"source": recording.path.name, "from": cut.start, "to": cut.end}
             about["recording_id"] = recording.store.store_id
             if not exact:
@@ -320,7 +322,7 @@ def _within(chunk: Chunk, cut: _Cut) -> Chunk:
     before = np.flatnonzero(steps < cut.first)
     if chunk.entity_path in _STATES and len(before) and not np.any(steps == cut.first):
         inside[before[-1]] = True
-        # moves rows from before the cut to its first frame
+        # rows from before the cut move to its first frame
         batch = chunk.batch.filter(pa.array(inside))
         early = pc.less(batch[STEP], cut.first)
         shown = pa.scalar(cut.first_shown, pa.int64()).cast(pa.duration("ns"))

@@ -1,4 +1,4 @@
-"""Repairs recordings that were truncated or damaged, and gives frames a place for each body that came later."""
+"""Repairs recordings that were truncated or damaged, and gives frames places for bodies that entered later."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LOOKS = 50  # number of frames to which the camera is fitted
 
 
 def new_layout(recording: Recording) -> rrb.Blueprint:
-    """Lay out a recording as the recorder would have done. Raises RecordingError if too little data are left."""
+    """Lay out a recording as the recorder would have laid it out. Raises RecordingError if too little data are left."""
     header = header_of_recording(recording)
     entries = recording.store.frames_of(paths.BODIES)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
@@ -69,15 +69,15 @@ class Repaired:
 def repair(source: str | Path, out: str | Path) -> Repaired:
     """Write the readable parts of a recording to a new one, with footer, layout, and an outcome that states the repair.
 
-    Raises RecordingError if there is no such file, it is not carom's, nothing in it is readable, or the new one cannot
-    be written.
+    Raises RecordingError if there is no such file, it is not a recording of carom, nothing in it is readable, or the
+    new file cannot be written.
     """
     source, out = Path(source), Path(out)
     with reading(source):
         if not source.is_file():
             raise RecordingError(f"there is no recording at {source}")
         found = salvage(source)
-        # the recording with the most chunks; wrong bytes may appear to start others
+        # the recording with the most chunks is meant; wrong bytes may look like the start of another recording
         stores = [store for store in found.stores if store.kind == RECORDING]
         store = max(stores, key=lambda store: len(store.entries), default=None)
         if store is None or not store.entries:
@@ -88,7 +88,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
         recording.refuse_other_schema()
         if found.finished:
             with contextlib.suppress(RecordingError):
-                recording.fingerprints()  # reads the table of frames, which everything else needs
+                recording.fingerprints()  # reads the table of frames, since everything else needs it
                 return Repaired(None)
         try:  # refuses a file without the static data that its frames require
             known = bool(recording.info)
@@ -119,7 +119,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
                     if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would make all frames unreadable
                         kept.append(rising(join_rows(paths.FINGERPRINT, [chunk], FINGERPRINTS)))
                     writer.send(chunk)
-            except DamageError as error:  # neither carom nor Rerun would have written it
+            except DamageError as error:  # neither carom nor Rerun would have written this chunk
                 lost.append(f"{_named(entry)} ({error})")
         steps, times = ([row for table in kept for row in table[name].to_pylist()] for name in (STEP, "time"))
         step, end = max(steps, default=None), max(times, default=None)
@@ -188,14 +188,14 @@ _RENEWED = (paths.ABOUT, paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LI
 
 
 def widen(path: Path) -> None:
-    """Rewrite a recording whose frames have places only for bodies that had come by then; may raise RecordingError."""
+    """Give all frames of a recording places for bodies that entered later; may raise RecordingError."""
     recording = Recording.open(path)
     n, header = int(recording.info["bodies"]), header_of_recording(recording)
     steps, counts = _places(recording)
     fit = None
     with Writer(path, recording.store.application_id, recording.store.store_id) as writer:
         statics = sorted((e for e in recording.store.entries if e.is_static), key=lambda entry: entry.offset)
-        last = {entry.entity_path: entry for entry in statics}  # only the last row of each of these entities is sent
+        last = {entry.entity_path: entry for entry in statics}  # for each of these entities, only the last row is sent
         kept = [entry for entry in statics if entry.entity_path not in _RENEWED or last[entry.entity_path] is entry]
         for chunk in recording.chunks(kept):
             writer.send(chunk)

@@ -29,10 +29,11 @@ class Snapshot:
     body: IntArray  # (n,) numbers of the shown bodies
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
-    others: Mapping[str, NDArray[Any]]  # (n,) further columns that a [[bodies]] section needs
+    others: Mapping[str, NDArray[Any]]  # (n,) each, further columns that a [[bodies]] section needs
     vectors: VectorsByName  # quantities of the state that are modelled, (n, k) each; see `STATE_QUANTITIES`
     energies: Mapping[str, float]  # J, energies of all bodies, by the names of `Recording.energy`
-    contacts: pa.Table | None = None  # of the step, with names and units, see `Recording.contacts`; None: not known
+    # contacts of the step, with names and units, see `Recording.contacts`; None: not known
+    contacts: pa.Table | None = None
     cell: FloatArray | None = None  # (3,) m, size of a periodic domain about the origin; or (3, 3) m, see `Shear.cell`
 
     def __len__(self) -> int:
@@ -41,10 +42,10 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True)
 class StepFiles:
-    """A format with a file for each step; other formats are functions of a path, the first step and the later ones."""
+    """A format with a file for each step; other formats are functions of a path, the first step and the later steps."""
 
     write: Callable[[Path, Snapshot], None]
-    write_list: Callable[[Path, Sequence[tuple[str, float]]], None]  # writes the names of files and their times in s
+    write_list: Callable[[Path, Sequence[tuple[str, float]]], None]  # writes the names of files, and their times in s
     list_suffix: str  # suffix of the list, after the requested name
 
 
@@ -69,7 +70,7 @@ def others_of(path: Path) -> list[Path]:
 
 
 def beside(path: Path, part: str) -> Path:
-    """Return the file of another table beside the table of the bodies."""
+    """Return the file of another table, beside the file of the table of bodies."""
     return path.with_name(f"{path.stem}-{part}{path.suffix}")
 
 
@@ -103,7 +104,7 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
     Several steps of `StepFiles`, such as a .vtk, go into a folder ``NAME-vtk`` beside the list of their times. Raises
     RecordingError if the file cannot be written.
     """
-    numbers = itertools.count()  # the next number is the number of steps that have been written
+    numbers = itertools.count()  # at the end, the next number is the number of written steps
     counted = (snapshot for snapshot, _ in zip(snapshots, numbers, strict=False))
     made = registry.load("export_formats", path.suffix[1:])
     try:

@@ -42,7 +42,7 @@ def write_extended_xyz(path: Path, first: Snapshot, others: Iterator[Snapshot]) 
 
 
 def _cell(snapshot: Snapshot) -> str:
-    """Name the vectors of the periodic box, if there is one, and its lower corner, which OVITO reads."""
+    """State the vectors of the periodic box, if there is one, and its lower corner, for OVITO."""
     if snapshot.cell is None:
         return 'pbc="F F F"'
     if snapshot.cell.ndim == 2:  # the box is sheared

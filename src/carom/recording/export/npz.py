@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
     """Write step and time (K,), values such as body and mass (n,), and vectors such as position (K, n, 3 or 4).
 
-    Where bodies come and go, n is the number of all bodies; vectors of a body that does not exist are NaN. Arrays that
-    begin with ``contact_`` have a row for each contact of each step, and with ``energy_`` a number for each step (J).
-    ``units`` is a JSON text with the unit of each array that has one.
+    If bodies come and go, n is the number of all bodies; vectors of a body that does not exist are NaN. Arrays that
+    begin with ``contact_`` have a row for each contact of each step, and arrays that begin with ``energy_`` have a
+    number for each step (J). ``units`` is a JSON text with the unit of each array that has one.
     """
     every = [first, *others]
     body, rows = np.unique(np.concatenate([each.body for each in every]), return_index=True)

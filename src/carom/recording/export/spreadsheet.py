@@ -1,4 +1,4 @@
-"""Tables as CSV that a spreadsheet shows and does not compute."""
+"""Tables as CSV that a spreadsheet shows but does not compute."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import pyarrow as pa
 
 from carom.recording.read.state_columns import units_of
 
-# What spreadsheets compute begins with one of these, which Asian ones also write at full width. They drop blanks, marks
-# without a width and control characters before it, and may split a text that contains another separator than a comma.
+# Spreadsheets compute a text that begins with one of these characters; Asian spreadsheets also write them at full
+# width. Spreadsheets drop blanks, marks without a width and control characters at the beginning, and may split a text
+# that contains another separator than a comma.
 _FORMULA = '["\\s\x00-\x20\x7f-\xa0\u200b-\u200f\u2028-\u202f\u2060\u3000\ufeff]*[=+@\uff1d\uff0b\uff0d\uff20-]'
-_NUMBER = r"\s*[+-][0-9.]+(?:[eE][-+]?[0-9]+)?\s*(?:[\])},;]|$)"  # of a list, such as [1, -2]
+_NUMBER = r"\s*[+-][0-9.]+(?:[eE][-+]?[0-9]+)?\s*(?:[\])},;]|$)"  # numbers of a list, such as [1, -2]
 _FORMULAS = re.compile(rf"(^|[;,|\t\r\n](?!{_NUMBER}))(?={_FORMULA})")
 
 
@@ -28,7 +29,7 @@ def harmless(table: pa.Table) -> pa.Table:
 
 
 def _shown(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return a column of texts that are not formulas; numbers stay."""
+    """Return a column of texts that are not formulas; numbers do not change."""
     kind = column.type.value_type if pa.types.is_dictionary(column.type) else column.type
     if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return column

@@ -1,6 +1,6 @@
-"""Tables as Parquet, CSV and Arrow files: bodies, and in files beside it contacts and energies.
+"""Tables as Parquet, CSV and Arrow files: a file of the bodies, and beside it files of contacts and energies.
 
-Parquet and Arrow have the units in the metadata of their fields, CSV in its header.
+Parquet and Arrow store units in the metadata of their fields, CSV stores them in its header.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def table_of(snapshot: Snapshot) -> pa.Table:
     """Tabulate the bodies of a snapshot."""
     table = state_table([snapshot.step], [snapshot.time], [snapshot.vectors])
     own = {"body": snapshot.body, "mass": snapshot.mass, "radius": snapshot.radius, **snapshot.others}
-    for place, (name, values) in enumerate(own.items(), start=2):  # after step and time
+    for place, (name, values) in enumerate(own.items(), start=2):  # these columns come after step and time
         table = table.add_column(place, name, pa.array(values))
     return with_units(table)
 

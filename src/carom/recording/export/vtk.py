@@ -16,8 +16,8 @@ from carom.recording.export import Snapshot, StepFiles
 def _write(path: Path, snapshot: Snapshot) -> None:
     """Write one step; in ParaView, draw it as Point Gaussians or with the filter Glyph, scaled by ``radius``.
 
-    Contacts of two bodies are lines, whose data are data of cells: the filter Tube, scaled by ``normal_force``, shows
-    force chains. The cells of the bodies have zeros, so that a threshold on ``is_contact`` separates both.
+    Contacts of two bodies are lines, and their data are cell data: the filter Tube, scaled by ``normal_force``, shows
+    force chains. The cells of bodies have zeros, so that a threshold on ``is_contact`` separates bodies from contacts.
     """
     n = len(snapshot)
     pairs, measured = _contacts(snapshot)
@@ -42,10 +42,11 @@ def _write(path: Path, snapshot: Snapshot) -> None:
         del arrays["position"]
         names = snapshot.others.get("name")
         fields = len(arrays) + (1 if names is None else 2)
-        file.write(f"FIELD FieldData {fields}\n".encode())  # readers ignore all but the first SCALARS and VECTORS
+        # a FIELD, since readers ignore all SCALARS and VECTORS but the first
+        file.write(f"FIELD FieldData {fields}\n".encode())
         file.write(f"body 1 {n} int\n".encode() + _bytes(snapshot.body.astype(np.int32)))
         if names is not None:
-            texts = "".join(f"{quote(str(name), safe=' ')}\n" for name in names)  # VTK decodes %xx
+            texts = "".join(f"{quote(str(name), safe=' ')}\n" for name in names)  # VTK decodes %xx, so names are quoted
             file.write(f"name 1 {n} string\n{texts}".encode())
         for name, values in arrays.items():
             file.write(f"{name} {1 if values.ndim == 1 else values.shape[1]} {n} double\n".encode() + _bytes(values))
@@ -55,7 +56,7 @@ _OF_CONTACTS = ("normal_force", "tangential_force", "normal_impulse", "tangentia
 
 
 def _contacts(snapshot: Snapshot) -> tuple[Int32Array, dict[str, FloatArray]]:
-    """Return the points of contacts between two bodies, (m, 2), and their measured values; unknown ones are 0."""
+    """Return the points of contacts between two bodies, (m, 2), and their measured values; unknown values are 0."""
     table = snapshot.contacts
     if table is None:
         return np.zeros((0, 2), np.int32), {name: np.zeros(0) for name in _OF_CONTACTS}

@@ -42,7 +42,7 @@ def turning_arrows(header: Header) -> list[str]:
 
 
 def hidden_arrows(header: Header, added: Additions) -> list[str]:
-    """Return the entities of the arrows that a view hides, since others have the same directions."""
+    """Return the entities of the arrows that a view hides, since other arrows have the same directions."""
     return [] if added.both_arrows else [path for path in paths.PARALLEL.values() if path in turning_arrows(header)]
 
 
@@ -54,10 +54,10 @@ def force_arrows(header: Header) -> list[str]:
 
 
 def _edges(header: Header, theme: str, *, wide: bool, by_stage: bool = False) -> Overrides:
-    """Draw the edges of the collision graph in colours by impulse, and as wide by impulse, as force chains.
+    """Draw the edges of the collision graph as force chains: their colours and widths depend on the impulse.
 
-    The recorded colours show the solver's stages. On white paper the bright colours of either would be
-    invisible, so edges have one colour, and only the width shows the impulse.
+    The recorded colours show the solver's stages. On white paper, bright colours would be invisible, so edges have one
+    colour, and only the width shows the impulse.
     """
     if not header.collides or (theme == "dark" and (by_stage or not header.records_contacts)):
         return {}
@@ -71,16 +71,16 @@ def _edges(header: Header, theme: str, *, wide: bool, by_stage: bool = False) ->
 
 
 TRAILS = "trails"
-FIELD = "field"  # the arrow of a uniform field, and axes
+FIELD = "field"  # entity of the arrow of a uniform field, and of axes
 
 
-# Overrides with which a view draws bodies: colours other than the recorded ones, and a minimum size on the screen.
+# Overrides with which a view draws bodies: other colours than the recorded ones, and a minimum size on the screen.
 # Spheres have their true radii in metres. For bodies smaller than two points of the screen, the view also draws a dot
 # of fixed size at the recorded centre, so the file does not grow.
 
 LEAST = 2.0  # points of the screen, radius of a dot
-_MOST_NAMED = 7  # bodies whose names the layout in a file shows, as many as there are hues
-_HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is large enough
+_MOST_NAMED = 7  # most bodies whose names the layout in a file shows: the number of hues
+_HIDDEN = 1e-12  # size of the dot, in radii, if the body itself is large enough
 
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
@@ -93,8 +93,8 @@ def is_crowded(header: Header) -> bool:
 def _drawn_bodies(
     header: Header, view: View, area: Area, recoloured: bool = False, named: tuple[str, ...] = ()
 ) -> Overrides:
-    """Return overrides that add dots to small bodies and names to few, and apply the colours of a `Supplement`."""
-    apparent = header.radius / view.height() * area.height  # points
+    """Return overrides that add dots to small bodies, names to few bodies, and the colours of a `Supplement`."""
+    apparent = header.radius / view.height() * area.height  # points, apparent radii
     small = apparent < LEAST
     is_solid = shape(header) == "ellipsoids" and is_crowded(header)
     if not (small.any() or recoloured or named or is_solid):
@@ -134,12 +134,12 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     view = bodies_eye(camera, area, added)
     has_contacts = header.collides and not is_crowded(header)
     name = "Bodies and contacts" if has_contacts else "Bodies"
-    # without carom, nobody has tried whether names overlap; few hardly do
+    # without carom, nobody has checked whether names overlap; a few names hardly do
     own = tuple(header.names) if added.legend is None and not area.rendered and header.bodies <= _MOST_NAMED else ()
     overrides = _drawn_bodies(header, view, area, added.recoloured, added.named or (own if any(own) else ()))
     overrides |= _edges(header, area.theme, wide=False, by_stage=added.by_stage)
     cursor = rr.TimeRangeBoundary.cursor_relative()
-    if added.trails:  # the pieces up to the cursor
+    if added.trails:  # show the pieces up to the cursor
         whole = rr.TimeRangeBoundary.infinite()
         starts = {SIM_TIME: whole, STEP: whole}
         if added.recent is not None:
@@ -148,10 +148,11 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             starts[STEP] = rr.TimeRangeBoundary.cursor_relative(seq=-steps)
         ranges = [rrb.VisibleTimeRange(timeline, start=start, end=cursor) for timeline, start in starts.items()]
         overrides[TRAILS] = rrb.VisibleTimeRanges(ranges)
-    if header.records_contacts:  # by default each impact stays visible until the next
+    if header.records_contacts:  # by default, each impact stays visible until the next impact
         clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
         start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
-        colour = palette.legible([palette.ARROWS[paths.FORCE_NORMAL]], area.theme)  # their sizes are impulses, too
+        # the sizes of these arrows are also impulses
+        colour = palette.legible([palette.ARROWS[paths.FORCE_NORMAL]], area.theme)
         overrides[paths.IMPACTS] = [
             rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=cursor),
             rr.Points3D.from_fields(colors=colour).visualizer(),
@@ -181,7 +182,7 @@ def _with_numbers(theme: str) -> list[VisualizerLike]:
     return [rr.Arrows3D.from_fields().visualizer(), unseen.visualizer(mappings=taken_from(sources))]
 
 
-_GHOST = 0x8A93A630  # a mesh behind arrows and edges
+_GHOST = 0x8A93A630  # colour of a mesh behind arrows and edges
 
 
 def has_graph(header: Header) -> bool:
@@ -251,8 +252,8 @@ PLOT = "plot"
 CLOSE_UP = "close-up"
 
 _ROWS = (5.0, 2.4, 1.7)  # heights of the 3D views, the plots and the texts
-LEGEND_SHARE = 0.19  # of the width, beside all rows
-_SMALL_WINDOW = Canvas(1280, 720)  # the legend is whole in any window that is not smaller
+LEGEND_SHARE = 0.19  # width of the legend beside all rows, as a fraction of the whole width
+_SMALL_WINDOW = Canvas(1280, 720)  # the legend is complete in any window that is at least this large
 
 
 def blueprint(
@@ -266,7 +267,7 @@ def blueprint(
     """Lay out a recording for a window, with a camera that is fitted to the bodies; ``curves`` is None during the run.
 
     ``only`` is the view that fills the window: "bodies", "graph", "close-up", "energy", "plot", or `ALL`. Raises
-    RecordingError if the recording has nothing to show in it.
+    RecordingError if the recording has nothing to show in this view.
     """
     header = as_happened(header, curves)
     parts = header, camera, curves, canvas, added
@@ -278,7 +279,7 @@ def blueprint(
         rrb.TopPanel(state="expanded" if has_panels else "hidden"),
         rrb.BlueprintPanel(state=panel),
         rrb.SelectionPanel(state=panel),
-        # without a play state the viewer starts playing
+        # without a play state, the viewer starts playing
         rrb.TimePanel(state=panel, timeline=SIM_TIME, play_state="paused"),
         auto_views=False,
         auto_layout=False,
@@ -343,10 +344,11 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     events = rrb.TextLogView(
         name=f"Events ({added.viewer_time})" if added.viewer_time else "Events",
         origin=paths.EVENTS,
-        columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),  # without the entity, always the same
+        # without the entity, which is always the same
+        columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
     )
     documents = {"Scene": paths.SCENE, "Scene file": paths.SCENE_TOML, "About": paths.ABOUT}
-    if not beside:  # for readers without carom, which draws a legend
+    if not beside:  # a text for readers without carom, which would draw a legend
         documents = {"Legend": paths.LEGEND} | documents
     pages = [rrb.TextDocumentView(name=name, origin=path, contents=[path]) for name, path in documents.items()]
     texts = rrb.Tabs(events, *pages, active_tab=None if beside else "Legend")
@@ -378,7 +380,7 @@ def _single(
             return added.close.view(header, added.recoloured)
         case "close-up":
             raise RecordingError("no known impact of bodies that are there then; name two bodies, or another time")
-        case "plot" if added.plots is not None:  # of single bodies, all with the same unit
+        case "plot" if added.plots is not None:  # plots of single bodies, all with the same unit
             return added.plots.view(added.plots.units[0], canvas.area())
         case "plot":
             raise RecordingError("there are no bodies to plot")

@@ -5,11 +5,11 @@ target's coordinate along e. A sphere with centre o and radius r lies inside the
 
     o·e − t + r √(1 + s²)  ≤  s (D − o·d).
 
-Each border therefore gives a bound by the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders
-together determine the smallest D and the corresponding t. The eye looks along the smallest principal axis of the
-motion, tilted so that the horizon is level and the ground is seen from above. Slopes are seen edge-on, as in a
-textbook, unless bodies move along the line of sight. With torques the eye stands a little aside and above: the torques
-of bodies that roll down a slope are parallel to it, and would be points.
+Each border therefore gives a bound: the largest o·e + s o·d + r √(1 + s²) of all bodies. Two opposite borders together
+determine the smallest D and its t. The eye looks along the smallest principal axis of the motion, tilted so that the
+horizon is level and the ground is seen from above. Slopes are seen edge-on, as in a textbook, unless bodies move along
+the line of sight. With torques the eye stands a little aside and above: the torques of bodies that roll down a slope
+are parallel to the slope's edge, and would otherwise look like points.
 """
 
 from __future__ import annotations
@@ -39,40 +39,47 @@ from carom.scene.conversion import converted
 from carom.scene.forces import UNIFORM_FIELD
 from carom.state.frame import Frame
 
-ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
+ASPECT = 1.25  # ratio of width to height of a 3D view, unless the layout gives another
 _NARROW_SLOPE = float(np.tan(np.radians(1.0)))
 _DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: equal spheres then differ by at most 4 %
 
-FEW = 40  # bodies; with at most as many, all motion is inside the view and has trails
-_FEW_NEAR = 5  # bodies; with at most as many, none is too far away to be shown
+FEW = 40  # most bodies whose motion is always inside the view and has trails
+_FEW_NEAR = 5  # most bodies of which none is too far away to be shown
 _ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outside the view
-_NEARBY = 1.6  # escaping bodies are inside the view, too, if this increases the distance by at most this factor
-_FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
+_NEARBY = 1.6  # escaping bodies are also inside the view if this increases the distance by at most this factor
+_FAR = 20.0  # bodies farther from the middle than this, in median distances, may lie outside the picture
 _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the first moment fill
-_LOOSE = 1.7  # largest distance, over the smallest at which the first moment is inside; its bodies then fill 53 %
-_LOOSE_PATHS = 25.0  # the same for paths: 23 for an orbit of e = 0.7 from pericentre, if the aspect ratio is 3.3
-_SMALL = 400.0  # largest height of the picture, over the median radius, for which all motion of few bodies is inside
+_LOOSE = 1.7  # largest distance, relative to the smallest with the first moment inside; its bodies then fill 53 %
+# largest distance for paths, relative to the same: 23 for an orbit with e = 0.7 that begins at the pericentre, if the
+# aspect ratio is 3.3
+_LOOSE_PATHS = 25.0
+_SMALL = 400.0  # all motion of few bodies is inside up to this height of the picture, in median radii
 _MOST = 20_000  # number of bodies above which only every k-th and the `_LARGEST` largest are measured
 _LARGEST = 1000
-_BLOCK = 256  # spheres that are compared at once
-_MOST_SPHERES = 4000  # of all moments; beyond, only the outermost sphere in each of many directions is stored
+_BLOCK = 256  # number of spheres that are compared at once
+# most stored spheres of all moments; of more, only the outermost sphere in each of many directions is stored
+_MOST_SPHERES = 4000
 
-_USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
-_PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
+_USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # usual direction to the eye
+_PREFERENCE = 0.15  # weight of the usual direction, as a fraction of the variance, if principal axes are similar
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
-_INTO = np.radians(30.0)  # highest elevation where bodies fall into walls: a cup seen from above is a sheet
+_INTO = np.radians(30.0)  # highest elevation if bodies fall into walls, since a cup seen from above is a sheet
 _SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
-_ASIDE, _ABOVE = np.radians(35.0), np.radians(12.0)  # of the eye from a slope's edge, so that torques are seen
+# angles of the eye from a slope's edge, so that torques are visible
+_ASIDE, _ABOVE = np.radians(35.0), np.radians(12.0)
 _ALONG = 0.1  # largest fraction of the motion along the line of sight, if a slope is seen edge-on
-_OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # in which extreme bodies are kept
+# directions in which extreme bodies are kept
+_OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
 _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
 _ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
 _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
-_MOST_INSET = 0.6  # of the width or height of a picture; a legend in a tiny picture covers more, and then bodies
-_BESIDE = 0.25  # of the width of the motion; walls that are farther away may lie outside the picture
-_TURNS = 12  # directions from which an orbiting camera is fitted
+# largest fraction of the width or height of a picture; in a tiny picture, a legend covers more, even bodies
+_MOST_INSET = 0.6
+_BESIDE = 0.25  # walls farther away than this, in widths of the motion, may lie outside the picture
+_TURNS = 12  # number of directions from which an orbiting camera is fitted
 
-_HUGE = np.errstate(over="ignore", invalid="ignore")  # squares of lengths beyond 10¹⁵⁴ m are infinite: handled below
+# squares of lengths beyond 10¹⁵⁴ m are infinite, which is handled below
+_HUGE = np.errstate(over="ignore", invalid="ignore")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,10 +97,10 @@ class _Frame:
 
 
 class CameraFit:
-    """Fits the camera to the bodies at a first moment, and at other moments unless it would move too far away.
+    """Fits the camera to the bodies at a first moment, and at other moments unless the camera would move too far away.
 
-    If no motion of the camera is given, it follows bodies that move away together, unless they are few and all of their
-    motion fits into the picture.
+    If no motion of the camera is given, the camera follows bodies that move away together, unless they are few and all
+    their motion fits into the picture.
     """
 
     def __init__(
@@ -105,12 +112,12 @@ class CameraFit:
         up: FloatArray = UP,  # (3,) unit vector against gravity
         motion: CameraMotion | None = None,
         edge_on: FloatArray | None = None,  # (3,) horizontal unit vector along which slopes are seen edge-on
-        has_torque: bool = False,  # whether arrows of torques are drawn, which may be parallel to it
+        has_torque: bool = False,  # whether arrows of torques are drawn, which may be parallel to this direction
         highest: float = _HIGHEST,  # rad, largest elevation of the eye
     ) -> None:
         self._bodies = len(radius)
         self._shown: slice | IntArray = slice(None)
-        if len(radius) > _MOST:  # a sample
+        if len(radius) > _MOST:  # measure only a sample
             chosen = np.zeros(len(radius), dtype=bool)
             chosen[:: -(-len(radius) // _MOST)] = True
             chosen[np.argpartition(radius, -_LARGEST)[-_LARGEST:]] = True
@@ -125,7 +132,8 @@ class CameraFit:
         self._to_eye, self.up, self.motion = to_eye, up, motion
         self._centre = _middle(first[None], near[None], radius)[0]  # (3,) m
         self._spheres = np.zeros((0, 7))  # centre, radius, and the middle of all bodies at the same moment
-        # Σ x xᵀ with x = (position, 1): of all positions, about their middles, and about each body's first position
+        # Σ x xᵀ with x = (position, 1), for three kinds of vectors: positions, positions relative to the bodies'
+        # middle, and positions relative to each body's first position
         self._moments = np.zeros((3, 4, 4))
         self._drift = 0.0
         self._loose = _LOOSE
@@ -144,10 +152,10 @@ class CameraFit:
         grounded = any(part is not None for part in (header.planes, header.walls, header.shapes, header.box))
         if motion is None and (grounded or UNIFORM_FIELD.name in header.forces):
             motion = CameraMotion.STILL
-        up = UP  # or against the uniform field of the scene
+        up = UP  # up is opposite to the uniform field of the scene, if there is one
         if UNIFORM_FIELD.name in header.forces and header.scene_toml:
             document = tomllib.loads(header.scene_toml)
-            # components may be texts with units; the other sections may be long, and are not needed
+            # components may be texts with units; other sections may be long, and are not needed
             quantities, _, _ = converted({key: document[key] for key in ("units", "gravity") if key in document})
             acceleration = np.asarray(quantities.get("gravity", {}).get("uniform", -UP), dtype=np.float64)
             size = float(np.linalg.norm(acceleration))
@@ -163,7 +171,7 @@ class CameraFit:
         return len(self._radius) <= FEW
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
-        """Measure the frames of a batch; of many bodies, only the last."""
+        """Measure the frames of a batch; with many bodies, only the last frame."""
         chosen = batch if self.is_few else batch[-1:]
         self.look(np.array([frame.seen[: self._bodies] for frame in chosen]) - origin)
 
@@ -195,7 +203,7 @@ class CameraFit:
         of, bodies = np.nonzero(kept)
         rows = np.column_stack([moments[of, bodies], self._radius[bodies], middle[of]])
         done, ends = 0, np.cumsum(kept.sum(axis=1))
-        while done < len(rows):  # whole moments, so that the spheres do not depend on the batches
+        while done < len(rows):  # moment by moment, so that the spheres do not depend on the batches
             full = int(np.searchsorted(ends, done + _MOST_SPHERES - len(self._spheres), side="right"))
             end = int(ends[min(full, len(ends) - 1)])
             self._spheres, done = np.concatenate([self._spheres, rows[done:end]]), end
@@ -219,12 +227,14 @@ class CameraFit:
 
     def view(
         self,
-        aspect: float = ASPECT,  # width of the picture over its height
+        aspect: float = ASPECT,  # ratio of the picture's width to its height
         room: float = 0.0,  # m, margin around the bodies for arrows; smaller if bodies would look too small
         *,
-        narrow: bool = False,  # whether the eye is far away, with a narrow field: equal spheres have equal sizes
+        # whether the eye is far away, with a narrow field, so that equal spheres have equal sizes
+        narrow: bool = False,
         trails: bool = True,  # whether the view may show the paths of few bodies, which should all be inside
-        tips: FloatArray | None = None,  # (k, 3) m, ends of arrows of the first moment; inside for few bodies
+        # (k, 3) m, ends of arrows of the first moment, which are inside if there are few bodies
+        tips: FloatArray | None = None,
         moment: bool = False,  # whether the picture shows the first moment alone
         inset: tuple[float, float] = (0.0, 0.0),  # size of a legend in a corner, in widths and heights of the picture
         pictured: bool = False,  # whether the legend may be where bodies are at other moments
@@ -256,7 +266,7 @@ class CameraFit:
         return self._beside_inset(frame, view)
 
     def _beside_inset(self, frame: _Frame, view: View) -> View:
-        """Return a view with room for a legend: this one, or a smaller one left of the legend or below it."""
+        """Return a view with room for a legend: this view, or a smaller view left of the legend or below it."""
         wide, tall = frame.inset
         if wide == 0.0:
             return view
@@ -282,7 +292,7 @@ class CameraFit:
         slopes = _FILLED * slope * np.array([frame.aspect, 1.0])
 
         def borders(position: FloatArray, radius: FloatArray, *, all_inside: bool = True) -> FloatArray:
-            """Return the values that the right and left, upper and lower borders require, (2, 2) m."""
+            """Return the bounds by the right and left, and by the upper and lower borders, (2, 2) m."""
             right, up, depth = axes @ (position - self._centre).T
             found = np.empty((2, 2))
             for k, along in enumerate((right, up)):
@@ -358,7 +368,7 @@ def _direction(moments: FloatArray, up: FloatArray, highest: float) -> FloatArra
 
 
 def _edge_on(header: Header, up: FloatArray) -> FloatArray | None:
-    """Return the horizontal direction (3,) in which all slopes of a scene are seen edge-on; None without any."""
+    """Return the horizontal direction (3,) in which all slopes of a scene are seen edge-on; None without slopes."""
     if header.planes is None or UNIFORM_FIELD.name not in header.forces:
         return None
     level = np.cross(up, header.planes.normal)
@@ -385,7 +395,7 @@ def _weights(radius: FloatArray) -> FloatArray:
 
 
 def _largest(values: FloatArray, radius: FloatArray) -> float:
-    """Return the largest value of the bodies that must be inside the view, or of all if the bodies are points."""
+    """Return the largest value of the bodies that must be inside the view; if bodies are points, of all."""
     if len(values) == 0:
         return -np.inf
     order = np.argsort(-values)
@@ -395,7 +405,7 @@ def _largest(values: FloatArray, radius: FloatArray) -> float:
 def _farthest(position: FloatArray, radius: FloatArray) -> IntArray:
     """Return the outermost sphere in each direction in `_ALL_ROUND`."""
     # In blocks: the product of all spheres does not fit into the cache, and BLAS would compute it on all cores, which
-    # the physics needs. 4000 spheres take 1.4 ms of CPU in place of 18.
+    # the physics needs. 4000 spheres take 1.4 ms of CPU instead of 18 ms.
     most, found = np.full(len(_ALL_ROUND), -np.inf), np.zeros(len(_ALL_ROUND), dtype=np.int64)
     for begin in range(0, len(position), _BLOCK):
         reach = _ALL_ROUND @ position[begin : begin + _BLOCK].T + radius[begin : begin + _BLOCK]

@@ -22,7 +22,7 @@ from carom.recording.schema.curve_outline import Curves
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import MOVING, PERIODIC_BOX, PLANES, SHAPES, WALLS
 
-SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high
+SLOPE = float(np.tan(np.radians(55.0 / 2)))  # slope of the picture's upper border: Rerun's field of view is 55° high
 UP = np.array([0.0, 0.0, 1.0])
 STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
 
@@ -40,13 +40,13 @@ class View:
     """Position of the camera, and how it moves."""
 
     target: FloatArray  # (3,) m
-    distance: float  # m, of the eye from the target
+    distance: float  # m, distance of the eye from the target
     motion: CameraMotion
     to_eye: FloatArray  # (3,) unit vector
     up: FloatArray = field(default_factory=UP.copy)  # (3,) unit vector that is vertical on the screen
     slope: float = SLOPE  # half the picture's height at unit distance
     whole: bool = True  # whether all measured motion is inside the picture
-    outside: int = 0  # bodies that are not wholly inside the picture at the first moment
+    outside: int = 0  # number of bodies that are not wholly inside the picture at the first moment
 
     @property
     def eye(self) -> FloatArray:
@@ -72,7 +72,7 @@ class View:
         return np.asarray(radius / (self.slope * (self.distance - nearer)))
 
     def holds(self, position: FloatArray, radius: FloatArray, aspect: float) -> BoolArray:
-        """Return which spheres (...,) are wholly inside a picture of this width over height."""
+        """Return which spheres (...,) are wholly inside a picture with this ratio of width to height."""
         beyond = np.abs(self.on_screen(position)) + self.radius_on_screen(position, radius)[..., None]
         inside: BoolArray = np.all(beyond <= [aspect, 1.0], axis=-1)
         return inside
@@ -81,7 +81,7 @@ class View:
 def screen(to_eye: FloatArray, up: FloatArray = UP) -> FloatArray:
     """Return the axes of the screen, (3, 3): to the right, up and towards the eye."""
     right = np.cross(up, to_eye)
-    if float(np.linalg.norm(right)) < STEEP:  # straight from above or below
+    if float(np.linalg.norm(right)) < STEEP:  # the eye looks straight from above or below
         right = np.cross(np.eye(3)[int(np.argmin(np.abs(to_eye)))], to_eye)
     right = right / np.linalg.norm(right)
     return np.array([right, np.cross(to_eye, right), to_eye])
@@ -101,7 +101,7 @@ def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
 
 
 def upright(up: FloatArray) -> FloatArray:
-    """Return axes (3, 3); the last axis points up. They are the axes of the scene, unless gravity points elsewhere."""
+    """Return axes (3, 3); the last axis points up. These are the axes of the scene, unless gravity points elsewhere."""
     if float(up @ UP) > 1.0 - STEEP:
         return np.eye(3)
     across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
@@ -124,9 +124,9 @@ def free_corner(
     return None
 
 
-_TITLE = 24  # points, of a view's title bar
-_TIME_PANEL = 34  # points, collapsed
-_TOP_PANEL = 36  # points
+_TITLE = 24  # points, height of a view's title bar
+_TIME_PANEL = 34  # points, height of the collapsed time panel
+_TOP_PANEL = 36  # points, height of the top panel
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +141,7 @@ class Area:
 
     @property
     def aspect(self) -> float:
-        """Width over height."""
+        """Ratio of width to height."""
         return self.width / self.height
 
     @property
@@ -156,7 +156,7 @@ class Canvas:
 
     width: int = 1600
     height: int = 1000
-    framed: bool = True  # whether views have title bars and windows have panels, which take some of the height
+    framed: bool = True  # whether views have title bars and windows have panels, which reduce the height
     rendered: bool = False  # whether nobody can use the window: no panels, and views may have a narrow lens
     theme: str = "dark"
 
@@ -170,7 +170,7 @@ class Canvas:
 
 
 class CloseView(Protocol):
-    """A view of the bodies of one contact; see `display/close_up.py`."""
+    """A view of the two bodies of a contact; see `display/close_up.py`."""
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.View:
         """Return the view."""
@@ -181,7 +181,7 @@ class LegendView(Protocol):
     """A view of the meaning of colours; see `display/legend.py`."""
 
     def view(self, area: Area) -> rrb.View:
-        """Return the view."""
+        """Return the view of the legend."""
         ...
 
 
@@ -190,7 +190,7 @@ class PlotsOfBodies(Protocol):
 
     @property
     def units(self) -> Sequence[str]:
-        """The units."""
+        """The units of the plots."""
         ...
 
     def view(self, unit: str, area: Area) -> rrb.View:
@@ -210,20 +210,20 @@ class Additions:
     trails: bool = False
     recoloured: bool = False
     by_stage: bool = False  # whether the edges beside the bodies have the colours of the solver's stages
-    both_arrows: bool = False  # whether angular accelerations and changes of spin have arrows, too
-    plots: PlotsOfBodies | None = None  # of single bodies
+    both_arrows: bool = False  # whether angular accelerations and changes of spin also have arrows
+    plots: PlotsOfBodies | None = None  # plots of single bodies
     legend: LegendView | None = None
     named: tuple[str, ...] = ()  # (n,) names beside the bodies, empty for a body without a name; () if no body has one
-    axes: bool = False  # whether axes show the scale, and an arrow a uniform field
+    axes: bool = False  # whether axes show the scale, and an arrow shows a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
     moment: bool = False  # whether a picture shows one moment, so that other moments need not be inside it
-    tips: FloatArray | None = None  # (k, 3) m, of the arrows that are drawn at the moment
-    marks: FloatArray | None = None  # (k, 3) m, around the points of impacts that are drawn
+    tips: FloatArray | None = None  # (k, 3) m, tips of the arrows that are drawn at the moment
+    marks: FloatArray | None = None  # (k, 3) m, points around the drawn points of impacts
     inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
     caption: Sequence[str] = ()  # title of a plot that fills the picture
     viewer_time: str = ""  # how the viewer's times are related to the scene's unit of time, if they are not the same
-    recent: tuple[int, int] | None = None  # length of trails, in ns of the viewer and in steps; None: all the past
+    recent: tuple[int, int] | None = None  # length of trails, in ns of the viewer and in steps; None: the whole past
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
 
@@ -300,7 +300,7 @@ class Lens:
         return rr.Transform3D(translation=self.larger * self.view.eye, mat3x3=axes.T)
 
     def poses(self, views: Sequence[View]) -> rr.ComponentColumnList:
-        """Return the same for a moving camera, with a row for each view."""
+        """Return positions and axes of a moving camera, with a row for each view."""
         axes = [screen(view.to_eye, view.up).T for view in views]
         eyes = self.larger * np.array([view.eye for view in views])
         return rr.Transform3D.columns(translation=eyes, mat3x3=axes)
