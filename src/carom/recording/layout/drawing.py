@@ -7,18 +7,18 @@ and extends beyond the sphere by
 
 so its vector is ``(r + L) m̂`` (`encoding.draw_arrows`). L grows with m, is less than L_max and can be inverted:
 m = m_ref · (u / (1 - u))³ with u = L / L_max. Thanks to the cube root, six decades fit between 9 % and 91 % of L_max.
-m_ref therefore comes from the first frame with arrows and applies to the whole recording; arrows are visible even if it
-is wrong by a factor of 1000.
+Therefore m_ref can come from the first frame with arrows and apply to the whole recording: arrows are visible even if
+m_ref is wrong by a factor of 1000.
 
 A sphere's torque and angular acceleration are parallel (τ = I α), as are the angular impulse of an impact and the
-change of spin (L = I Δω). Views draw torques and angular impulses, short and thick; beside the arrows of few bodies
-stand both magnitudes. The others, long and thin, are hidden until somebody asks for them.
+change of spin (L = I Δω). Views draw torques and angular impulses, short and thick; both magnitudes are written beside
+the arrows of few bodies. The other arrows, long and thin, are hidden until somebody asks for them.
 
 **Impulses** of contacts and impacts have eight widths and colours. A magnitude is drawn by u = s / (1 + s), like the
-length of an arrow, and the eight levels of u have equal widths. They save 6 of 8 bytes per contact in the file, because
-neighbours often have the same level.
+length of an arrow, and the eight levels of u have equal widths. Levels save 6 of 8 bytes per contact in the file,
+because neighbours often have the same level.
 
-**Lines**: Rerun 0.41 stores the radii of lines in half precision: lines with radii above 65 504 units are not drawn,
+**Lines**: Rerun 0.41 stores the radii of lines in half precision: radii above 65 504 units are not drawn,
 and radii below 10⁻⁶ are rounded by more than 3 %. In such scenes, lines get radii in points of the screen, which Rerun
 expresses as negative numbers.
 """
@@ -51,7 +51,7 @@ SPEEDS = np.array(
     dtype=np.uint32,
 )
 
-MOST_ELLIPSOIDS = 2000  # above this, wireframes cost the viewer 16 to 25 times as much as points
+MOST_ELLIPSOIDS = 2000  # most bodies drawn as wireframes, which cost the viewer 16 to 25 times as much as points
 
 
 def shape(header: Header) -> str:
@@ -69,23 +69,23 @@ def single(values: FloatArray) -> SingleArray:
         return values.astype(np.float32)
 
 
-_LEAST, _LARGEST = 1e-6, 6e4  # m
-_POINTS = 40.0  # of the screen, for the radius of a body
+_LEAST, _LARGEST = 1e-6, 6e4  # m, range of radii that Rerun draws exactly enough
+_POINTS = 40.0  # points of the screen that stand for the radius of a body
 
 
 def line_radii(share: ArrayLike, body: float) -> SingleArray:
-    """Return radii of lines for the viewer, given as shares (...) of the radius of a body in m."""
+    """Return radii of lines for the viewer, given as fractions (...) of a body's radius (m)."""
     shares = np.asarray(share, dtype=np.float64)
     radii = shares * body
     drawn = radii.min() >= _LEAST and radii.max() <= _LARGEST
     return (radii if drawn else -_POINTS * shares).astype(np.float32)
 
 
-_ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and define no scale
+_ROUND_OFF = 1e-6  # fraction of the natural unit: smaller vectors are rounding noise, and define no scale
 
 
 def part_of_longest(magnitude: Any, unit: Any) -> Any:
-    """Return L / L_max of magnitudes in a unit, both numbers or arrays; 1 where the magnitude is infinite."""
+    """Return L / L_max of magnitudes in a unit (both numbers or arrays); 1 for an infinite magnitude."""
     s = np.cbrt(magnitude / unit)
     return 1.0 - 1.0 / (1.0 + s)
 
@@ -109,15 +109,15 @@ class References(dict[str, float]):
 
     def __init__(self, given: Mapping[str, float]) -> None:
         super().__init__(given)
-        self.chosen: dict[str, float] = {}  # by the frames, also where a magnitude was given
+        self.chosen: dict[str, float] = {}  # magnitudes that the frames would choose, even if a magnitude was given
 
     def choose(self, name: str, magnitude: float) -> None:
-        """Set a magnitude, unless one was given."""
+        """Set a magnitude, unless it was given."""
         self.chosen[name] = magnitude
         self.setdefault(name, magnitude)
 
 
-DIMENSIONS = {  # of magnitudes
+DIMENSIONS = {  # dimensions of magnitudes
     FORCE_NORMAL: dimension.IMPULSE,
     TORQUE: dimension.TORQUE,
     ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION,
@@ -142,22 +142,22 @@ def arrow_length(header: Header, path: str) -> float:
 
 
 def magnitude_at(radii: float, reach: float, reference: float) -> float:
-    """Return the magnitude whose arrow extends by some median radii, where L_max is ``reach`` of them.
+    """Return the magnitude whose arrow extends by ``radii`` median radii, if L_max is ``reach`` median radii.
 
-    With levels in place of radii, it is the smallest magnitude of a level.
+    With levels in place of radii, the result is the smallest magnitude of a level.
     """
     share = radii / reach
     return reference * (share / (1.0 - share)) ** 3
 
 
-# Shades of one hue, since every other hue has a meaning of its own: CIELAB from L = 30 to 78, about vermilion, the
-# colour of contacts. A search maximised the differences from colours of bodies (ΔE ≥ 31, CIE76) and of arrows (≥ 33).
+# Shades of one hue, since each other hue has its own meaning: CIELAB from L = 30 to 78, about vermilion, the colour of
+# contacts. A search maximised the differences from colours of bodies (ΔE ≥ 31, CIE76) and of arrows (≥ 33).
 COLOURS = np.array(
     [0x872105FF, 0x9F2F09FF, 0xB73E10FF, 0xCD501BFF, 0xE1652BFF, 0xF17B40FF, 0xFF9259FF, 0xFFA974FF], dtype=np.uint32
 )
 LEVELS = len(COLOURS)
-_THINNEST, _THICKEST = 0.03, 0.15  # radius of an edge, in median body radii: wider ones hide arrows
-_SMALLEST, _LARGEST_IMPULSE = 0.12, 0.60  # radius of the point at an impact, in median body radii
+_THINNEST, _THICKEST = 0.03, 0.15  # radii of edges, in median body radii: wider edges would hide arrows
+_SMALLEST, _LARGEST_IMPULSE = 0.12, 0.60  # radii of the points at impacts, in median body radii
 
 
 def edge_radii(radius: FloatArray) -> SingleArray:

@@ -1,6 +1,6 @@
 """The plots of the recorded series: legends that cover no curve, and the views.
 
-Series that stay at 0 or constant are omitted.
+Series that stay at 0 or do not change are omitted.
 """
 
 from __future__ import annotations
@@ -46,9 +46,10 @@ def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines
 
 _ROW, _FRAME = 23.0, 14.0  # px, measured: height of a line, and of the frame with its distance from the border
 _LETTER, _DOT = 7.0, 44.0  # px, measured: width of a wide letter, and of the dot with the frame
-_PAD = 0.05  # of the range of the values, left free above and below
-_FLAT = 1e-9  # of a value; a smaller range is rounding and is not magnified
-_LARGEST = 0.75  # of the plot's height; a larger legend would leave too little height for the curves
+_PAD = 0.05  # fraction of the range of values that is left free above and below
+_FLAT = 1e-9  # fraction of a value; a smaller range is rounding, and is not magnified
+# largest fraction of the plot's height for a legend; a larger legend would leave too little for the curves
+_LARGEST = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +107,11 @@ def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float
     return min(low for low, _ in ranges), max(high for _, high in ranges)
 
 
-_ROUNDING = 1e-12  # of the largest energy, of the energy scale, or of a radius; a smaller curve shows rounding errors
+# fraction of the largest energy, the energy scale, or a radius; a smaller curve shows rounding errors
+_ROUNDING = 1e-12
 _SHARES = ("energy/relative_error", "step/relative_overlap")  # series whose unit is such a scale
 _RATE = "step/impact_rate"
-_ABOVE = 1.1  # end of the axis over the largest impulse
+_ABOVE = 1.1  # ratio of the end of the axis to the largest impulse
 _MARKER = 3.5  # points, radius of the mark of an impact
 _NUMBER = 28.0  # points, half the width of a number below a plot
 _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot, and height of the numbers below it
@@ -120,14 +122,14 @@ def plot_views(
 ) -> list[rrb.View | rrb.Container]:
     """Lay out the plots of a recording as columns of tabs, in an area for all columns; the first tab is in view.
 
-    ``curves`` is None during the run. Plots are omitted if all their curves stay at 0, or show only rounding errors of
-    energies, errors or overlaps.
+    ``curves`` is None during the run. Plots are omitted if all their curves stay at 0, or if they show only the
+    rounding of energies, errors or overlaps.
     """
     columns: list[list[Plot]] = []
     for column in all_plots(recorded(header)):
         shown = [plot for plot in column if shown_series(header, plot, curves)]
         if CONTACTS in column and header.records_contacts and (curves is None or _largest(curves, _RATE) > 0.0):
-            # Impacts come first if there are any. Contacts come first while nothing is known, and where a plot of all
+            # Impacts come first if there are any. Contacts come first as long as nothing is known, and if a plot of all
             # impacts would slow the viewer down.
             shown.insert(0 if curves is not None and paths.IMPACTS in curves else 1, IMPULSES)
         if shown:
@@ -146,12 +148,12 @@ def _largest(curves: Curves, path: str) -> float:
 # Rerun 0.41 has no logarithmic axis. After an explosion, an axis of energies would show a single step, and everything
 # before it as zero, so the logarithms are plotted instead.
 
-_DECADES = 1e3  # growth of the energies above which they are plotted as logarithms
+_DECADES = 1e3  # if energies grow by more than this factor, their logarithms are plotted
 DECADES = "decades"
 
 
 def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
-    """Return whether the largest energy is a thousand times the energies at first or at most moments."""
+    """Return whether the largest energy is a thousand times the energies at the start, or at most moments."""
     outlines = list(curves)
     largest = max((curve.largest for curve in outlines), default=0.0)
     usual = max((curve.usual for curve in outlines), default=0.0)
@@ -224,7 +226,7 @@ def _laid_out(
     area: Area,
     span: IntArray | None,
     *,
-    named: bool,  # whether it has a legend
+    named: bool,  # whether the plot has a legend
     caption: Sequence[str] = (),
 ) -> rrb.TimeSeriesView:
     """Lay out a plot of some series."""
@@ -248,7 +250,7 @@ def time_series_view(
     span: IntArray | None = None,
     caption: Sequence[str] = (),
 ) -> rrb.TimeSeriesView:
-    """Lay out a plot of some entities, with the lines of its legend where they cover no known curve.
+    """Lay out a plot of some entities, with its legend where it covers no known curve.
 
     ``styles`` override the recorded styles of the series by path; for ``span``, see `time_axis`. The legend begins with
     the lines of a ``caption``.
@@ -268,7 +270,7 @@ def time_series_view(
 
 
 def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
-    """Return an axis of the whole time, or of a ``span`` (2,) ns with space for the number at its end.
+    """Return an axis of the whole time, or of a ``span``, (2,) ns, with space for the number at the axis's end.
 
     The ends of a span are on one timeline, which suits pictures, where nobody selects another timeline.
     """
@@ -281,13 +283,13 @@ def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
 
 
 _SECOND = 10**9  # ns
-# ns, distances of the times that Rerun 0.41 writes below a plot
+# ns, possible distances between the times that Rerun 0.41 writes below a plot
 _TICKS: tuple[int, ...] = (
     *(_SECOND // 10**k for k in range(9, 0, -1)),
     *(_SECOND * each for each in (1, 10, 60, 600, 3600, 43_200, 86_400)),
 )
-_TICK_WIDTH = 80.0  # points, smallest distance at which it writes them; measured
-_LONGER = 2.0  # an axis is not made longer by more than this factor
+_TICK_WIDTH = 80.0  # points, smallest distance between these times; measured
+_LONGER = 2.0  # largest factor by which an axis is made longer
 
 
 def _labelled(length: int, width: float) -> int:

@@ -1,7 +1,7 @@
 """The entities of a recording, read chunk by chunk from its file.
 
-`reading` replaces every error by one sentence with the file and the remedy. `join_rows` makes tables and checks types
-and order. Only the requested columns are copied from a chunk, so a table needs no more memory than its rows.
+`reading` replaces every error by one sentence that names the file and the remedy. `join_rows` makes tables and checks
+types and order. Only the requested columns are copied from a chunk, so a table needs no more memory than its rows.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Column:
     """Type of a component, and number of values in every row."""
 
     type: pa.DataType
-    each: int = 1  # values
+    each: int = 1  # number of values in each row
 
 
 SCALARS = {"Scalars:scalars": Column(pa.float64())}
@@ -86,8 +86,8 @@ _UNORDERED = (paths.EVENTS,)  # events logged at the end of a run belong to earl
 def join_rows(path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column]) -> pa.Table:
     """Join the rows of an entity. Components with one value per row become plain columns.
 
-    Chunks are in the order of their first steps. Raises DamageError if a row has wrong or missing values, or rows are
-    not in the order of their steps.
+    Chunks are in the order of their first steps. Raises DamageError if a row has wrong or missing values, or if rows
+    are not in the order of their steps.
     """
     steps, times = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     found: dict[str, list[pa.Array]] = {name: [] for name in columns}
@@ -148,7 +148,7 @@ Values = NDArray[Any] | list[str]
 
 
 class Entities:
-    """Reads the entities of a store, which is one of the recordings in a container."""
+    """Reads the entities of a store: a recording in a container."""
 
     def __init__(self, container: Container, store: Store) -> None:
         self._container = container
@@ -174,7 +174,7 @@ class Entities:
         return join_rows(path, self.chunks(path), columns)
 
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks of steps in order; given a component, only chunks that have it."""
+        """Read an entity's chunks of steps in order; given a component, only chunks with it."""
         for chunk in self.read(self._store.frames_of(path)):
             if component is None or component in chunk.components:
                 yield chunk

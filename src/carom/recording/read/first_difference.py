@@ -31,7 +31,7 @@ Told = tuple[int, int, str, str, str]  # an event: its step, ns on the timeline,
 _OF_IMPACTS = {"approach_speed": "m/s", "energy_lost": "J", "normal_impulse": "N s", "tangential_impulse": "N s"}
 _LONG = 80  # characters of a text above which only part of it is shown
 _ROW_ID = "rerun.controls.RowId"
-_ARROWS = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # entities whose rows begin with the largest impulses
+_ARROWS = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # entities whose rows list the largest impulses first
 _REACHING = (paths.PLANES, paths.SHAPES, paths.MOVING)  # entities drawn as far as the bodies of the first frame reach
 _STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # entities with the initial data of a run
 _PROPERTY, _CLOSING, _REFERENCES = "__properties/", "__properties/outcome", "__properties/arrows"
@@ -42,15 +42,15 @@ _NEVER_SAME = ("RecordingInfo:start_time", "wall_time", "profile.")  # prefixes 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first frame that differs from the recording, and the difference in it."""
+    """The first frame that differs from the recording, and the difference in this frame."""
 
     step: int
-    time: float  # s, recorded
+    time: float  # s, recorded time of the frame
     quantity: str
     body: int | None  # None if the value does not belong to a single body
     recorded: Value
     replayed: Value
-    name: str = ""  # of the body
+    name: str = ""  # name of the body
     unit: str = ""  # SI unit of both values; empty if they have none
 
     @property
@@ -82,9 +82,9 @@ class Difference:
 class Extent:
     """The part of two recordings that is compared."""
 
-    after: int  # step of the last frame before this interval; -1 for none
-    last: int  # step of the last frame in this interval
-    to_the_end: bool  # whether the recorded run ends with it, so that later rows are a difference
+    after: int  # step of the last frame before the compared part; -1 if there is none
+    last: int  # step of the last frame in the compared part
+    to_the_end: bool  # whether the recorded run ends with the compared part, so that later rows are a difference
     # whether both recorders chose impacts, arrows and checkpoints with the same budget
     same_choice: bool
     closed: bool  # whether both recordings have an outcome of the same run
@@ -95,10 +95,10 @@ class Extent:
 def first_difference(
     recorded: Recording, again: Recording, extent: Extent, few: Reduce | None = None
 ) -> tuple[Difference | None, list[str]]:
-    """Find the first difference between a recording and another one of the same run.
+    """Find the first difference between two recordings of the same run.
 
-    ``few`` reduces chunks of the second recording to the bodies that the first one shows. The second value lists data
-    that the recording lost, or that another version wrote differently, which does not count as a difference.
+    ``few`` reduces chunks of the second recording to the bodies that the first recording shows. The second value lists
+    data that the recording lost, or that another version wrote differently: these are not differences.
     """
     found = _Comparison(recorded, again, extent, few)
     with reading(recorded.path):
@@ -108,13 +108,14 @@ def first_difference(
 
 class _Comparison:
     def __init__(self, recorded: Recording, again: Recording, extent: Extent, few: Reduce | None) -> None:
-        self.excused: dict[str, None] = {}  # in order
+        self.excused: dict[str, None] = {}  # descriptions of excused differences, in order
         self._recorded, self._again, self._extent, self._few = recorded, again, extent, few
         table = recorded.fingerprints()
         self._times = dict(zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True))
-        self._before = count_at(recorded, extent.after) if extent.after >= 0 else 0  # impacts
+        # numbers of impacts before the compared part
+        self._before = count_at(recorded, extent.after) if extent.after >= 0 else 0
         self._count = count_at(again, extent.last)
-        self._states = [states_by_number(run) for run in (recorded, again)]  # at impacts
+        self._states = [states_by_number(run) for run in (recorded, again)]  # states at impacts
         numbers, rows = impacts_by_number(again)
         self._steps_of_impacts = dict(
             zip(numbers.tolist(), rows[STEP].to_pylist() if len(numbers) else [], strict=True)
@@ -160,7 +161,7 @@ class _Comparison:
                     self.excused[f"rows of /{path}, which the recording lacks"] = None
                 if lacks_some or is_chosen:
                     return there
-                # the file of the new run ends with a checkpoint; in the recording, a warning may have added one there
+                # the new file ends with a checkpoint, and in the recording a warning may have added a checkpoint there
                 return there | (keys < extent.last) if not extent.to_the_end else np.ones(len(keys), np.bool_)
 
             theirs = _selected(theirs, present)
@@ -180,7 +181,7 @@ class _Comparison:
             one, two = (rest if rest.num_rows else None for rest in (one.slice(count), two.slice(count)))
 
     def _batches(self, run: Recording, path: str, at_impacts: bool) -> Iterator[pa.RecordBatch]:
-        """Read an entity's rows within the extent; none of them are empty."""
+        """Read an entity's rows within the extent; no batch is empty."""
         extent, again = self._extent, run is self._again
         after, last = (self._before, self._count) if at_impacts else (extent.after, extent.last)
         is_open = extent.to_the_end and extent.is_complete
@@ -270,7 +271,7 @@ class _Comparison:
             own, other = ours.get(path, {}), theirs.get(path, {})
             for name in dict.fromkeys([*own, *other]):
                 if name.startswith(_NEVER_SAME) or (
-                    # reference frames that were chosen for later frames
+                    # the references were chosen for later frames
                     path == _REFERENCES and name not in other and not (extent.to_the_end and extent.same_choice)
                 ):
                     continue
@@ -289,7 +290,7 @@ class _Comparison:
 
 
 def value_difference(step: int, path: str, name: str, recorded: pa.Array, other: pa.Array) -> Difference | None:
-    """Compare the values of a row in two recordings; return the first difference, or the largest of positions."""
+    """Compare the values of a row in two recordings; return the first difference; for positions, the largest."""
     one, two = _flat(recorded), _flat(other)
     if recorded.null_count or other.null_count:
         raise DamageError(f"rows of /{path} without {name}")
@@ -342,7 +343,7 @@ def _called(path: str, name: str) -> str:
 
 
 def _rank(group: tuple[str, bool]) -> tuple[bool, bool, bool, str, bool]:
-    """Sort entities: drawn bodies and energies are named before other data, and fingerprints last."""
+    """Sort entities: drawn bodies and energies come before other data, and fingerprints come last."""
     path, at_impacts = group
     return path == paths.FINGERPRINT, path != paths.BODIES, not path.startswith(f"{paths.ENERGY}/"), path, at_impacts
 
@@ -393,7 +394,7 @@ def _flat(rows: pa.Array) -> NDArray[np.generic]:
 
 
 def _shortened(longer: pa.RecordBatch, shorter: pa.RecordBatch) -> pa.RecordBatch:
-    """Keep as many values of each list as the same row of another batch has: the first ones."""
+    """Keep only the first values of each list, as many as the same row of another batch has."""
     columns = []
     for name in longer.schema.names:
         column = longer[name]

@@ -24,7 +24,7 @@ from carom.recording.schema.paths import CLOSING
 from carom.recording.timelines import IMPACT, STEP
 from carom.state.checkpoint import Checkpoint
 
-_KEPT = 3  # most chunks of an entity in memory; neighbouring frames may be in different ones
+_KEPT = 3  # most chunks of an entity in memory; neighbouring frames may be in different chunks
 
 
 class RecordedRows:
@@ -39,7 +39,7 @@ class RecordedRows:
         self._chunks: dict[str, OrderedDict[int, tuple[Chunk, IntArray]]] = {p: OrderedDict() for p in self._entries}
 
     def at(self, path: str, step: int) -> list[Chunk]:
-        """Return an entity's rows of a step, each as a separate chunk; an intact recording has one."""
+        """Return an entity's rows of a step, each as a separate chunk; an intact recording has one row."""
         found = []
         with reading(self._recording.path):
             for entry in self._entries.get(path, ()):
@@ -59,7 +59,7 @@ class RecordedRows:
 
 
 class RecordedPositions:
-    """Positions (n, 3) in m: drawn ones, or exact ones at checkpoints; NaN for bodies that do not exist."""
+    """Positions (n, 3) in m: drawn positions, or exact positions at checkpoints; NaN for bodies that do not exist."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording, self._shown = recording, recording.shown
@@ -103,7 +103,7 @@ class DrawnPaths(NamedTuple):
 
     steps: IntArray  # (k,)
     position: SingleArray  # (k, b, 3) m from the recording's origin
-    orientation: SingleArray | None  # (k, b, 4) xyzw, orientations; None where none are recorded
+    orientation: SingleArray | None  # (k, b, 4) xyzw, orientations; None if none are recorded
 
 
 def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
@@ -141,10 +141,10 @@ def _numbers(column: pa.Array) -> SingleArray:
 
 
 class Continuation:
-    """The frames of an earlier run up to a step; a resumed run writes them before its own.
+    """The frames of an earlier run up to a step; a resumed run writes them before its own frames.
 
-    ``reached`` is the exact state at this step, if the recording has no checkpoint there: a run that repeats the
-    earlier run, and writes only the new frames, has computed it.
+    ``reached`` is the exact state at this step, if the recording has no checkpoint there: it was computed by a run that
+    repeated the earlier run and writes only new frames.
     """
 
     def __init__(self, recording: Recording, step: int, reached: Checkpoint | None = None) -> None:
@@ -170,7 +170,8 @@ class Continuation:
         """Read the values on which the rows of the next frame depend."""
         found = self._reached or self.recording.checkpoint(self.step)
         held = found.contacts
-        counts = held is not None and (held.pistons is not None or held.release is not None)  # series need differences
+        # some series are differences, which need it
+        counts = held is not None and (held.pistons is not None or held.release is not None)
         contacts = held if counts else None
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)
 

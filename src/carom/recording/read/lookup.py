@@ -2,7 +2,8 @@
 
 By default, the moment of the hardest impact is shown or, without impacts, the moment of the most contacts. If no later
 step has more contacts than the first, as on a slope, the end is shown, since nothing has moved yet in the first step.
-A killed run has recorded neither moment; for it, the frame before which contacts dissipated most energy is shown.
+A killed run has recorded neither moment; for such a run, the frame before which contacts dissipated most energy is
+shown.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _MOST_NAMED = 8  # most bodies that a message lists
 
 
 def body_number(recording: RecordedData, body: int | str) -> int:
-    """Return the number of a body: given as a number, a name, or text such as "3", or "#3" if a body is called "3".
+    """Return the number of a body: ``body`` is a number, a name, or a text such as "3" ("#3" if a body is called "3").
 
     Raises RecordingError if there is no such body, or several have this name.
     """
@@ -94,7 +95,7 @@ def names_of(recording: RecordedData) -> Names:
 
 
 def check_times(**times: object) -> None:
-    """Raise a RecordingError if a time, by the name of its argument, is neither a number nor None."""
+    """Raise a RecordingError if a time, given under its argument's name, is neither a number nor None."""
     for name, time in times.items():
         is_time = isinstance(time, Real) and not isinstance(time, bool) and not math.isnan(time)
         if time is not None and not is_time:
@@ -112,7 +113,7 @@ def moment(recording: RecordedData, at: float | None) -> float:
         _refuse_outside(recording, times, at, at, recording.units.text(at, TIME, ".9g"))
         return at
     if not recording.shows_all:
-        # in a clip of some bodies, the recorded impact with the largest impulse, or else the end
+        # in a clip of some bodies: the recorded impact with the largest impulse, or otherwise the end
         last = float(times[-1])
         if not recording.records_contacts:
             return last
@@ -137,7 +138,7 @@ def moment(recording: RecordedData, at: float | None) -> float:
 
 
 def interval(recording: RecordedData, start: float | None, end: float | None) -> tuple[float, float]:
-    """Return an interval (s), by default the whole recording, both ends included; RecordingError if it is outside."""
+    """Return an interval (s), by default the whole recording, both ends included; RecordingError if it lies outside."""
     recording.require_frames()
     check_times(begin=start, end=end)
     first, last = -np.inf if start is None else start, np.inf if end is None else end
@@ -166,14 +167,14 @@ def recorded_moments(recording: RecordedData) -> dict[str, float]:
 
 
 def end_of_step(recording: RecordedData, step: int) -> float | None:
-    """Return the time (s) at the end of a step; None if it has no frame."""
+    """Return the time (s) at the end of a step; None if the step has no frame."""
     frames = recording.fingerprints()
     rows = np.flatnonzero(frames[STEP].to_numpy() == step)
     return float(frames["time"][int(rows[0])].as_py()) if len(rows) else None
 
 
 def printed_time(recording: RecordedData, time: float, rounding: float) -> float:
-    """Return the recorded time (s) whose printed form is nearest to a time; if there is none, the given time.
+    """Return the recorded time (s) whose printed form is nearest to a time; if none is near, the given time.
 
     Recorded times are the times of frames, and the moments that `carom inspect` lists, whose steps may have no frame.
     """
@@ -197,7 +198,7 @@ def goal_of(recording: RecordedData, at: float) -> float:
 def frame_of(recording: RecordedData, at: float) -> int | None:
     """Return the row of the frame at the end of the step that contains a time (s); None if that step has no frame.
 
-    Times after the last frame belong to the last frame, and times before the first frame to the first.
+    Times after the last frame belong to the last frame, times before the first frame to the first frame.
     """
     steps = recording.steps("dt")
     times, goal = _column(steps, "time"), at - tolerance(at)
@@ -209,7 +210,7 @@ def frame_of(recording: RecordedData, at: float) -> int | None:
 
 
 def _row_at(times: FloatArray, at: float) -> int | None:
-    """Return the row of exactly this time; None if there is none. After 10⁸ steps, the tolerance exceeds a step."""
+    """Return the row of exactly this time; None without one. After 10⁸ steps, the tolerance exceeds a step."""
     row = int(np.searchsorted(times, at))
     return row if row < len(times) and times[row] == at else None
 

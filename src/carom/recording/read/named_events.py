@@ -43,7 +43,7 @@ def named_pair(recording: Recording, text: str) -> Pair:
 
 
 def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
-    """Return the pair of an extreme, such as ``impact`` for the hardest; None if it is not recorded, or not shown."""
+    """Return the pair of an extreme, such as ``impact`` (the hardest); None if it is not recorded or not shown."""
     closing = dict(recording.closing)
     texts = (str(closing.get(f"moments.{name}.{what}", "")).split(",") for what in ("bodies", "planes"))
     found, planes = ([int(part) for part in parts if part.strip().isdigit()] for parts in texts)
@@ -66,7 +66,7 @@ class NamedEvent:
 
     time: float  # s
     pair: Pair | None = None  # the pair that meets; None for any other event
-    step: int | None = None  # step of an impact: one at the end of a step may belong to the next step
+    step: int | None = None  # step of an impact, since an impact at the end of a step may belong to the next step
     is_impact: bool = False
 
     def end(self, recording: Recording) -> float:
@@ -108,7 +108,7 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
 
 
 def _first_to_meet(recording: Recording, step: int) -> Pair | None:
-    """Return the pair of the run's first impact, if it is recorded and happened in a step."""
+    """Return the pair of the run's first impact, if this impact is recorded and happened in ``step``."""
     try:
         first = _impact(recording, "1")
     except RecordingError:

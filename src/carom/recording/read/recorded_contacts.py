@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carom.recording.read.recorded_data import RecordedData
 
 
-_COLUMNS = (  # name, type and unit
+_COLUMNS = (  # columns: name, type and unit
     ("step", pa.int64(), ""),
     ("time", pa.float64(), "s"),  # time of the impact, or end of the step
     ("i", pa.int64(), ""),  # i < j
@@ -38,14 +38,16 @@ _COLUMNS = (  # name, type and unit
     ("tangential_impulse", pa.float64(), "N s"),
     ("mode", pa.string(), ""),
     ("energy_lost", pa.float64(), "J"),
-    ("normal_force", pa.float64(), "N"),  # the impulse over the length of the step; null for an impact
+    ("normal_force", pa.float64(), "N"),  # impulse divided by the length of the step; null for an impact
     ("tangential_force", pa.float64(), "N"),  # null for impacts
     ("angular_impulse_i", pa.float64(), "N m s"),  # |r × J| about the centre of i; null without spins
-    ("angular_impulse_j", pa.float64(), "N m s"),  # the same about the centre of j; null for planes and walls, too
+    # |r × J| about the centre of j; null without spins, and for planes and walls
+    ("angular_impulse_j", pa.float64(), "N m s"),
 )
 SCHEMA = pa.schema([(name, kind) for name, kind, _ in _COLUMNS])
 UNITS = {name: unit for name, _, unit in _COLUMNS if unit}
-MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
+# columns that are recorded in float32
+MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 SOURCE = "source"  # key of a table's metadata: the source of its rows, in words
 
 
@@ -60,7 +62,7 @@ def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
 
 
 def table_of_rows(rows: Records, source: str, dt: float = 0.0) -> pa.Table:
-    """Make a table of rows, (k,) `CONTACT_ROW`; with the length of their step (s) it has forces."""
+    """Make a table of rows, (k,) `CONTACT_ROW`; given the length ``dt`` of their step (s), the table has forces."""
     plain = ("step", "time", "i", "j", "x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse")
     columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in plain}
     friction = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]])
@@ -104,7 +106,7 @@ def of_body(table: pa.Table, body: int | None) -> pa.Table:
 
 
 def with_angular_impulses(table: pa.Table, recording: RecordedData) -> pa.Table:
-    """Fill in the angular impulses on spheres that spin: radius times tangential impulse."""
+    """Fill in the angular impulses on spheres that can spin: radius times tangential impulse."""
     if recording.engine or not recording.info["spins"]:
         return table
     radius = recording.bodies.radius
@@ -126,7 +128,7 @@ def of_shown(table: pa.Table, recording: RecordedData) -> pa.Table:
 
 
 def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> BoolArray:
-    """Return a mask of the pairs (k, 2) of two selected bodies, or of a selected body and a plane."""
+    """Return a mask of the pairs (k, 2) that consist of two selected bodies, or of a selected body and a plane."""
     among = np.isin(pairs, chosen)
     return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
 
@@ -138,7 +140,7 @@ def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:
 
 
 _SAME = 1e-5  # relative error of a sum of float32 impulses, or of the length of a float32 line
-_TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
+_TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # columns that state time and place of an impact
 
 
 def contacts(recording: RecordedData, at: float | None) -> pa.Table:
@@ -187,7 +189,7 @@ def closing_speeds(rows: Records, state: Checkpoint, moves: BoolArray | None = N
 
 
 def _row_of_contacts(recording: RecordedData, row: int) -> tuple[Chunk, int, int, float]:
-    """Return the chunk with the contacts of a frame, the row in it, and the frame's step and time (s)."""
+    """Return the chunk with the contacts of a frame, the row in it, and the step and time (s) of the frame."""
     frames = recording.fingerprints()
     step, time = int(frames[STEP][row].as_py()), float(frames["time"][row].as_py())
     found = recording.row(paths.CONTACTS, step)
@@ -197,7 +199,7 @@ def _row_of_contacts(recording: RecordedData, row: int) -> tuple[Chunk, int, int
 
 
 def _table(recording: RecordedData, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
-    """Read a row of contacts, whose points and normals follow from its lines."""
+    """Read a row of contacts, whose points and normals follow from the lines in the row."""
     if recording.engine:
         rows, unknown = _rows_of_engine(recording, chunk, row, step, time), ("approach_speed", "energy_lost")
         table = table_of_rows(rows, "recorded", _dt(recording, step))
@@ -266,7 +268,7 @@ def _rows_of_engine(recording: RecordedData, chunk: Chunk, row: int, step: int, 
 def _of_impacts(
     recording: RecordedData, columns: dict[str, Any], struck: BoolArray, apart: BoolArray
 ) -> dict[str, Any]:
-    """Add approach speeds and energies of the step's impacts to contacts that had no other impulse.
+    """Add approach speeds and energies of the step's impacts to contacts without other impulses.
 
     If the bodies have separated by the end of the step, the hardest impact gives time, point and normal.
     """

@@ -85,7 +85,7 @@ class RecordedData(Statics):
         """Columns step, sim_time, text, level and kind, in the order of steps."""
         events = self._entities.table(paths.EVENTS, EVENTS)
         events = events.rename_columns([name.removeprefix("TextLog:") for name in events.column_names])
-        # events logged at the end are about earlier steps
+        # events that are logged at the end belong to earlier steps
         return events.take(np.argsort(events[STEP].to_numpy(), kind="stable"))
 
     def warnings(self, until: int | None = None) -> list[Event]:
@@ -135,12 +135,12 @@ class RecordedData(Statics):
 
     @named
     def drawn_planes(self) -> HalfSpaces:
-        """Return the planes as drawn, without names and sides; none if they are not drawn as grids."""
+        """Return the planes as drawn, without names and sides; empty if they are not drawn as grids."""
         ends = np.asarray(self._entities.static(paths.PLANES).get("LineStrips3D:strips", []), dtype=np.float64)
         if ends.size % (2 * paths.PLANE_LINES * 2 * 3):
             return HalfSpaces([], np.zeros((0, 3)), np.zeros(0))
         lines = ends.reshape(-1, 2, paths.PLANE_LINES, 2, 3)
-        with np.errstate(invalid="ignore", over="ignore"):  # of a damaged file
+        with np.errstate(invalid="ignore", over="ignore"):  # values of a damaged file may be too large
             sides = lines[:, :, 0, 1] - lines[:, :, 0, 0]
             normal = np.cross(sides[:, 0], sides[:, 1])
             size = np.sqrt((normal * normal).sum(axis=1))
@@ -175,7 +175,7 @@ class RecordedData(Statics):
     @cached_property
     @named
     def lives(self) -> IntArray | None:
-        """Steps (n, 2) of the first and the last frame with each body, where bodies came or went; otherwise None.
+        """Steps (n, 2) of the first and the last frame with each body, if bodies came or went; otherwise None.
 
         Both numbers are -1 for a body without a frame.
         """
@@ -192,7 +192,7 @@ class RecordedData(Statics):
     @cached_property
     @named
     def fixed(self) -> BoolArray:
-        """Mask (n,) of the bodies that another engine never moves; a recording without a mask has no such bodies."""
+        """Mask (n,) of the bodies that another engine never moves; if the recording has no mask, no body is fixed."""
         return self._mask("fixed", False)
 
     @cached_property
@@ -263,7 +263,7 @@ class RecordedData(Statics):
         return self.present(state.step) if (waits := state.waits) is None else ~waits
 
     def _drawn_at(self, step: int) -> BoolArray:
-        """Return a mask (n,) of the bodies that are drawn in the frame of a step; without such a frame, of all."""
+        """Return a mask (n,) of the bodies that are drawn in the frame of a step; without such a frame, all."""
         n = int(self.info["bodies"])
         drawn = np.ones(n, dtype=bool)
         for chunk in self.chunks(self.store.frames_of(paths.BODIES, step, step)):
@@ -314,8 +314,8 @@ class RecordedData(Statics):
     def checkpoint(self, step: int) -> Checkpoint:
         """Decode the exact state at one of :attr:`checkpoint_steps`.
 
-        Raises RecordingError if there is none at this step, or it is damaged: not finite, or different from its digest
-        or from the fingerprint of its frame.
+        Raises RecordingError if there is no checkpoint at this step, or if it is damaged: not finite, or different from
+        its digest or from the fingerprint of its frame.
         """
         if isinstance(step, bool) or not isinstance(step, (int, np.integer)):
             known = f"give one of checkpoint_steps, such as {self.checkpoint_steps[:1]}"
@@ -359,9 +359,9 @@ class RecordedData(Statics):
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
-        """Return some or all scalars below an entity, for the frames that have all of them.
+        """Return some or all scalars below an entity, for the frames that have all of these scalars.
 
-        A scalar without rows is omitted: a killed run may have sent half a batch, and a repaired file may lack parts.
+        Scalars without rows are omitted: a killed run may have sent half a batch, and a repaired file may lack parts.
         """
         entities, frames = self._entities.below(root), self._fingerprints
         scalars: dict[str, pa.Table] = {}

@@ -39,15 +39,15 @@ class RecordedImpacts:
 
     @property
     def count(self) -> int:
-        """All impacts."""
+        """Number of all impacts."""
         return self.recorded + self.left_out
 
     def text(self, counted: int | None) -> str:
         """Describe these numbers beside the number of impacts that the run ``counted`` (None: unknown).
 
-        The count lacks impacts at the end of a step whose bodies neither touch nor press afterwards, for example
-        because the impulse of a neighbour separated them. Impacts of planes are recorded or left out like impacts of
-        bodies.
+        ``counted`` lacks an impact at the end of a step if its bodies neither touch nor press each other afterwards,
+        for example because the impulse of a neighbour separated them. Impacts with planes are treated like impacts
+        between bodies.
         """
         if self.left_out:
             text = f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
@@ -92,7 +92,7 @@ def numbered_impacts(recording: RecordedData) -> tuple[IntArray, pa.Table]:
 
 
 def _measured(recording: RecordedData, rows: pa.Table) -> pa.Table:
-    """Return the table of recorded rows of impacts, at least one."""
+    """Return the table of one or more recorded rows of impacts."""
     with reading(recording.path):
         chunk = Chunk(paths.IMPACTS, rows.to_batches()[0])
         return _table(recording, chunk, _times(recording, chunk))
@@ -101,8 +101,8 @@ def _measured(recording: RecordedData, rows: pa.Table) -> pa.Table:
 def impacts_until(recording: RecordedData, step: int) -> RecordedImpacts:
     """Count the impacts up to a step that has a frame; in a clip, the impacts since its first frame.
 
-    In a clip of selected bodies, only recorded impacts are included, since unrecorded ones may belong to bodies outside
-    the clip.
+    In a clip of selected bodies, only recorded impacts are included, since unrecorded impacts may belong to bodies
+    outside the clip.
     """
     if not recording.records_contacts or not recording.frames:
         return RecordedImpacts()
@@ -150,7 +150,7 @@ def _rows_by_number(recording: RecordedData, entries: list[Entry], least: int = 
 
 
 def count_at(recording: RecordedData, step: int) -> int:
-    """Return the number of impacts up to a frame; 0 if it is not recorded."""
+    """Return the number of impacts up to a frame; 0 if the number is not recorded."""
     with reading(recording.path):
         chunk, row = recording.row(paths.CONTACTS, step) or (None, 0)
         if chunk is None or "impact_count" not in chunk.components:

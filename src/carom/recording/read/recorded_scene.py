@@ -1,6 +1,6 @@
 """The scene of a recording, and the header and the outlines of plots for a new layout.
 
-A recording may come from a stranger, so everything is checked before use.
+A recording may come from a stranger, so all data are checked before use.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 def recorded_scene(recording: RecordedData, overrides: list[str] | None = None) -> Scene:
     """Return the scene of a recording. Raises SceneError if this version cannot read it.
 
-    Raises RecordingError if it is a recording of another engine or a clip without exact states, or is damaged.
+    Raises RecordingError if the recording is damaged, comes from another engine, or is a clip without exact states.
     """
     path = recording.path
     if recording.engine:
@@ -63,7 +63,7 @@ def recorded_scene(recording: RecordedData, overrides: list[str] | None = None) 
 
 def materials_of(recording: RecordedData) -> ShownMaterials | None:
     """Return the materials of a recording; None if the scene has none, or this version cannot read the scene."""
-    if "material" not in recording.scene_toml:  # does not read the scene, since that takes seconds for many bodies
+    if "material" not in recording.scene_toml:  # the scene is not parsed here, since that takes seconds for many bodies
         return None
     try:
         return ShownMaterials.of(recorded_scene(recording))
@@ -96,7 +96,7 @@ class RecordedBodies:
 
 
 def start_of(recording: RecordedData, scene: Scene, checkpoint: Checkpoint) -> InitialBodies:
-    """Return the recorded bodies in the state of a checkpoint, or as they enter, where some do during the run."""
+    """Return the recorded bodies in the state of a checkpoint, or as they enter, if some enter during the run."""
     bodies, n = recording.bodies, scene.count
     spin = checkpoint.angular_velocity
     state = EntryStates(checkpoint.position, checkpoint.velocity, np.zeros((n, 3)) if spin is None else spin)
@@ -127,11 +127,12 @@ def header_of_recording(recording: RecordedData) -> Header:
     extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
     drives, scene = bool(info.get("drives", False)), None
-    if drives or "pistons" in info or "material" in recording.scene_toml:  # reading the scene may take seconds
+    # the scene is read only if necessary, since that may take seconds
+    if drives or "pistons" in info or "material" in recording.scene_toml:
         with suppress(RecordingError, SceneError):  # this version may be unable to read the scene
             scene = recorded_scene(recording)
     planes = None
-    if paths.PLANES in static:  # planes as drawn, without sides, unless a piston moves along its normal
+    if paths.PLANES in static:  # planes as they are drawn, without sides, unless a piston moves along its normal
         planes = planes_of(scene) if scene and "pistons" in info else recording.drawn_planes()
     colour_by = str(info["colour_by"]) if info["colour_by"] in COLOUR_BY else "auto"
     stated = fields_read(info) | {"title": recording.title, "colour_by": colour_by}

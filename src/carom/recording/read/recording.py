@@ -31,7 +31,7 @@ from carom.state.checkpoint import Checkpoint
 
 
 class Recording(RecordedData):
-    """A recording on disk. Make one with :meth:`open`."""
+    """A recording on disk. :meth:`open` makes one."""
 
     def __init__(self, container: Container, store: Store | None = None) -> None:
         if store is None:
@@ -54,7 +54,7 @@ class Recording(RecordedData):
         return recording
 
     def refuse_other_schema(self) -> None:
-        """Raise RecordingError if carom did not make the file, or if a version of carom with another schema did."""
+        """Raise RecordingError if carom did not make the file, or if carom made it with another schema."""
         version = schema_version(self.store.application_id)
         if version is None:
             raise RecordingError(f"{self.path} was not made by carom, but by {self.store.application_id!r}")
@@ -79,16 +79,16 @@ class Recording(RecordedData):
         body
             Number or name of the body.
         start, end
-            s, both included.
+            First and last time in s, both included.
 
         Returns
         -------
         path
             Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy,
             wz (rad/s), with the accelerations ax, ay, az (m/s², without contacts and drag), kinetic_energy and
-            rotational_energy (J), and ``exact``: whether the row is in float64. Only rows of checkpoints are; the
-            others have float32 positions and nulls elsewhere. `carom.rerun` computes all in float64. Fields have their
-            unit as metadata; the metadata of the schema state the ``source``.
+            rotational_energy (J), and ``exact``: whether the row is in float64. Only rows of checkpoints are exact;
+            other rows have float32 positions, and nulls elsewhere. `carom.rerun` computes all rows in float64. Fields
+            have their unit as metadata; the metadata of the schema state the ``source``.
         """
         check_times(start=start, end=end)
         return trajectory(self, body, start, end)
@@ -105,16 +105,16 @@ class Recording(RecordedData):
         bodies
             Numbers or names of bodies; by default all bodies that the recording shows.
         start, end
-            s, both included.
+            First and last time in s, both included.
 
         Returns
         -------
         paths
             ``step``, ``time`` (s), ``body`` and ``exact`` as in `trajectory`, ``position`` (m), and ``vectors``, the
-            arrays of all quantities by name: position, velocity (m/s) and, where they are modelled, orientation
+            arrays of all quantities by name: position, velocity (m/s) and, if they are modelled, orientation
             (xyzw), angular_velocity (rad/s) and energies (J). Between checkpoints, the recording has only positions,
             in float32; the other values are NaN. `carom.rerun` computes all of them in float64, with torques and
-            angular accelerations. Bodies that do not exist in a frame are NaN.
+            angular accelerations. The values of bodies that do not exist in a frame are NaN.
         """
         check_times(start=start, end=end)
         return trajectories(self, bodies, start, end)
@@ -122,14 +122,14 @@ class Recording(RecordedData):
     def impacts(self, start: float | None = None, end: float | None = None, body: int | str | None = None) -> pa.Table:
         """Return the recorded impacts of an interval in order of time; numbers above 3.4e38 are infinite.
 
-        A clip also holds the impacts of the step before its first frame. A clip of selected bodies holds only impacts
-        among them or with planes. Raises RecordingError if there is no such body or it is not shown, no part of the
-        interval is recorded, or no impacts are recorded; `carom.rerun` computes them all, in float64.
+        A clip also holds the impacts of the step before its first frame. A clip of selected bodies holds only their
+        impacts with each other and with planes. Raises RecordingError if there is no such body or it is not shown, no
+        part of the interval is recorded, or no impacts are recorded; `carom.rerun` computes all impacts, in float64.
 
         Parameters
         ----------
         start, end
-            s, both included; by default the whole recording.
+            First and last time in s, both included; by default the whole recording.
         body
             Number or name of a body whose impacts are returned; by default all impacts.
 
@@ -154,15 +154,15 @@ class Recording(RecordedData):
         Parameters
         ----------
         at
-            s, by default the moment of `moment`.
+            Time in s, by default the time that `moment` returns.
 
         Returns
         -------
         contacts
-            The columns of `impacts`; forces are impulses over the step. Point and normal are given at the end of the
-            step or, for a pair that has separated by then, at its hardest impact. Recorded contacts have approach_speed
-            and energy_lost only for impacts (null otherwise). Recorded contacts do not include those that held after
-            the first kick but opened within the step. The metadata of the schema state the ``source``.
+            The columns of `impacts`; forces are impulses divided by the length of the step. Point and normal are given
+            at the end of the step or, for a pair that has separated by then, at its hardest impact. Recorded contacts
+            have approach_speed and energy_lost only for impacts (null otherwise). Contacts that held after the first
+            kick but opened within the step are not recorded. The metadata of the schema state the ``source``.
         """
         check_times(at=at)
         return contacts(self, at)
@@ -170,8 +170,8 @@ class Recording(RecordedData):
     def checkpoints(self, steps: Iterable[int] | None = None) -> Iterator[Checkpoint]:
         """Yield the exact states at some of :attr:`checkpoint_steps`, by default at all, one by one.
 
-        Chunks of the file contain several states. Steps in ascending order are fastest: each chunk is decoded once,
-        unlike with as many calls of `checkpoint`.
+        Chunks of the file contain several states. Steps in ascending order are fastest, because each chunk is then
+        decoded only once; calls of `checkpoint` decode it each time.
         """
         with reading(self.path):
             chosen = self.checkpoint_steps if steps is None else steps
@@ -179,11 +179,11 @@ class Recording(RecordedData):
 
     @named
     def moment(self, at: float | None = None) -> float:
-        """Return the time (s) to show: the given time, else the hardest impact, the most contacts, or the end.
+        """Return the time (s) to show: the given time, or else the hardest impact, the most contacts, or the end.
 
-        A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of selected bodies,
-        the hardest impact is the one with the largest impulse on these bodies. Raises RecordingError if there is no
-        frame, or the given time is not in the recording.
+        A run that closed its file has recorded the hardest impact; otherwise, the frames are searched. In a clip of
+        selected bodies, the hardest impact is the impact with the largest impulse on these bodies. Raises
+        RecordingError if there is no frame, or the given time is not in the recording.
         """
         check_times(at=at)
         return moment(self, at)

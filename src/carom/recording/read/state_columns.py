@@ -1,4 +1,4 @@
-"""The state of bodies in columns: one list of quantities, which all tables, arrays and exports of states share."""
+"""The state of bodies in columns: all tables, arrays and exports of states share one list of quantities."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ class StateQuantity(NamedTuple):
     name: str
     columns: tuple[str, ...]
     unit: str
-    of: Callable[[State, FloatArray, FloatArray], FloatArray | None]  # from state, masses and moments of inertia
+    # computes the values from state, masses and moments of inertia
+    of: Callable[[State, FloatArray, FloatArray], FloatArray | None]
 
 
 def _kept(name: str) -> Callable[[State, FloatArray, FloatArray], FloatArray | None]:
@@ -51,14 +52,16 @@ def _spin_change(state: State, mass: FloatArray, inertia: FloatArray) -> FloatAr
     return None if turned is None else turned / inertia[:, None]
 
 
-# A checkpoint has no torques; a frame has all that its scene models. In the step that ends there, contacts that last
-# exert the torques and the angular accelerations, and impacts the angular impulses and the changes of spin.
+# A checkpoint has no torques; a frame has all quantities that its scene models. In the step that ends at a frame,
+# lasting contacts cause the torques and the angular accelerations, impacts cause the angular impulses and the changes
+# of spin.
 STATE_QUANTITIES = (
     StateQuantity("position", _along(""), "m", _kept("position")),
     StateQuantity("velocity", _along("v"), "m/s", _kept("velocity")),
     StateQuantity("orientation", ("qx", "qy", "qz", "qw"), "", _kept("orientation")),
     StateQuantity("angular_velocity", _along("w"), "rad/s", _kept("angular_velocity")),
-    StateQuantity("acceleration", _along("a"), "m/s²", _kept("acceleration")),  # by forces other than drag and contacts
+    # acceleration by forces other than drag and contacts
+    StateQuantity("acceleration", _along("a"), "m/s²", _kept("acceleration")),
     StateQuantity("torque", _along("torque_"), "N m", _kept("torque")),
     StateQuantity("angular_acceleration", _along("angular_acceleration_"), "rad/s²", _kept("angular_acceleration")),
     StateQuantity("angular_impulse", _along("angular_impulse_"), "N m s", _kept("angular_impulse")),
@@ -78,7 +81,7 @@ def state_vectors(
 
 
 def state_table(steps: Sequence[int], times: Sequence[float], states: Sequence[VectorsByName]) -> pa.Table:
-    """Tabulate states, step by step, with the quantities that all of them have; fields have their unit as metadata."""
+    """Tabulate states, step by step, with the quantities that all states have; fields have their unit as metadata."""
     each = [len(state["position"]) for state in states]
     columns: dict[str, Any] = {STEP: np.repeat(steps, each), "time": np.repeat(times, each)}
     for quantity in STATE_QUANTITIES:
@@ -115,9 +118,9 @@ def units_of(table: pa.Table) -> dict[str, str]:
 
 
 class BodyTrajectories(NamedTuple):
-    """The paths of several bodies over K frames, as arrays in SI; NaN where a body or a value does not exist."""
+    """The paths of several bodies over K frames, as arrays in SI; NaN if a body or a value does not exist."""
 
-    body: IntArray  # (n,) numbers
+    body: IntArray  # (n,) numbers of the bodies
     step: IntArray  # (K,)
     time: FloatArray  # (K,) s
     exact: NDArray[np.bool_]  # (K,) whether positions are in float64, and all other values are known

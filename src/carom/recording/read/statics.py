@@ -1,7 +1,7 @@
 """The static data of a recording: bodies, names, properties, scene and units; and how bodies are stored.
 
-Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] tables are stored
-once, in the arrays of all bodies.
+Numbered names are stored as a prefix and numbers. Masses, radii, moments of inertia and names of [[bodies]] tables are
+stored once, in the arrays of all bodies.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class BodyTable:
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
 
     def among(self, shown: Sequence[int], bodies: int) -> Self:
-        """Return a table of all bodies of a run, in which only these, with the numbers ``shown``, are known."""
+        """Return a table of all bodies of a run, of which only these bodies, with the numbers ``shown``, are known."""
         values: dict[str, Any] = {name: np.full(bodies, np.nan) for name in ("mass", "radius", "inertia")}
         values["group"] = np.full(bodies, -1)
         for name, spread in values.items():
@@ -53,17 +53,17 @@ class BodyTable:
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that contains a time, in float64.
 
-        The default of the time (s) is `Recording.moment`. Raises RecordingError if it is not in the recording, or
-        this step has no checkpoint; `carom.rerun` then computes the state.
+        The default of the time (s) is `Recording.moment`. Raises RecordingError if the time is not in the recording, or
+        the step has no checkpoint; `carom.rerun` then computes the state.
 
         Returns
         -------
         states
             Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy, wz
             (rad/s), ax, ay, az (m/s², of forces without contacts and drag), kinetic_energy and, with spins,
-            rotational_energy (J). A rerun with friction adds torque_x … (N m) and angular_acceleration_x … (rad/s²).
-            Fields have their unit as metadata. The metadata of its schema state the ``step``, the ``time`` (s) and the
-            ``source``.
+            rotational_energy (J). A rerun of a scene with friction adds torque_x … (N m) and angular_acceleration_x …
+            (rad/s²). Fields have their unit as metadata. The metadata of the schema state the ``step``, the ``time``
+            (s) and the ``source``.
         """
         return self._states(at)
 
@@ -78,7 +78,7 @@ _Own = TypeVar("_Own", bound="Statics")
 def named(
     read: Callable[Concatenate[_Own, _Parameters], _Result],
 ) -> Callable[Concatenate[_Own, _Parameters], _Result]:
-    """Make a method name the file in its errors."""
+    """Let the errors of a method name the file."""
     arguments = signature(read)
 
     @wraps(read)
@@ -95,7 +95,7 @@ class Statics:
 
     def __init__(self, container: Container, store: Store) -> None:
         self.path = container.path
-        self.finished = container.finished  # whether the file has its footer, that is, the run closed the file
+        self.finished = container.finished  # whether the file has its footer, so that the run has closed it
         self.store = store
         self._entities = Entities(container, store)
 
@@ -174,7 +174,7 @@ class Statics:
     @property
     @named
     def is_partial(self) -> bool:
-        """Whether the recording is a clip without exact states, which contains nothing about other bodies."""
+        """Whether the recording is a clip without exact states, which contains no data of other bodies."""
         return bool(self.clip.get("partial", False))
 
     @property
@@ -208,14 +208,14 @@ class Statics:
     @property
     @named
     def uniform_field(self) -> FloatArray | None:
-        """Uniform field (3,) m/s² of another engine; None for carom, and in recordings that do not state it."""
+        """Uniform field (3,) m/s² of another engine; None for carom, and in recordings that do not state the field."""
         field = self.info.get("uniform_field")
         return None if field is None else np.array(field, dtype=np.float64)
 
     @property
     @named
     def check_interval(self) -> float | None:
-        """Time (s) between checks of energy and momentum; None if they are at the frames."""
+        """Time (s) between checks of energy and momentum; None if errors are checked at the frames."""
         interval = self.info.get("check_interval")
         return None if interval is None else float(interval)
 
@@ -223,12 +223,12 @@ class Statics:
     @named
     def records_contacts(self) -> bool:
         """Whether impacts and the contact table are recorded."""
-        return bool(self.info.get("records_contacts", False))  # an overlay does not state this
+        return bool(self.info.get("records_contacts", False))  # overlays lack this property
 
     @property
     @named
     def title(self) -> str:
-        """The scene's title; an empty title is stored as an empty text, or not at all."""
+        """The scene's title; an empty title may be stored as an empty text, or not at all."""
         return called(str(self.info.get("title", "")))
 
     @named
@@ -270,8 +270,8 @@ _COUNT, _FIRST = "name_count", "name_first"
 def encode_names(names: Sequence[str]) -> dict[str, Any]:
     """Return the components that hold the names: only ``name`` if no names are numbered.
 
-    Otherwise ``name`` has prefixes, ``name_count`` the number of bodies with each prefix (0 for a complete name), and
-    ``name_first`` the number in the name of the first of these bodies.
+    Otherwise ``name`` has prefixes, ``name_count`` has the number of bodies with each prefix (0 for a complete name),
+    and ``name_first`` has the number in the name of the first such body.
     """
     parts = names.parts if isinstance(names, JoinedNames) else (names,)
     if not any(isinstance(part, NumberedNames) for part in parts):
@@ -324,7 +324,7 @@ def decode_bodies(stored: Stored, index: int, row: int, place: range, bodies: Bo
     """Undo `encode_bodies` for one [[bodies]] table, given its index in the scene and the numbers of its bodies.
 
     ``row`` is the row of the table's first body in the components; ``bodies`` has all bodies of the recording. Raises
-    DamageError if the components do not have these bodies, or are not finite.
+    DamageError if the components lack these bodies, or are not finite.
     """
     n, own, has_names = len(place), slice(row, row + len(place)), np.asarray(stored["named"])
     whole = np.asarray(stored["position"]).size // 3

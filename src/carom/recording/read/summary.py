@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 def summary(recording: RecordedData) -> dict[str, Any]:
     """Nested numbers; docs/recording.md lists the keys.
 
-    The largest errors of all steps are in the property `outcome`, under the same dotted key, such as
-    ``contacts.total``; without that property, the largest errors of the recorded frames are used. The numbers of a clip
-    describe its own frames; its outcome and expectations describe the whole run.
+    The largest errors of all steps come from the property `outcome`, under the same dotted keys; without this property,
+    the largest errors of the recorded frames are used. The numbers of a clip describe its own frames; its outcome and
+    expectations describe the whole run.
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()
@@ -125,7 +125,7 @@ def _impacts(recording: RecordedData) -> dict[str, int]:
 
 
 def _energy(energy: pa.Table) -> dict[str, float]:
-    """Return the first and the last energy and the largest error; NaN where no frame has them."""
+    """Return the first and the last energy and the largest error; NaN if no frame has them."""
     if energy.num_rows == 0:
         return dict.fromkeys(("initial", "final", "max_error"), float("nan"))
     total = energy["total"].to_numpy()
@@ -136,8 +136,8 @@ def _energy(energy: pa.Table) -> dict[str, float]:
 def _changes(recording: RecordedData) -> dict[str, float]:
     """Split the energy change (J) of another engine's run into changes with and without touching bodies.
 
-    While bodies touch, both the work of contacts and errors of the engine change the energy; states do not distinguish
-    them.
+    While bodies touch, both the work of contacts and errors of the engine change the energy; the states cannot
+    distinguish these.
     """
     if not recording.engine:
         return {}

@@ -87,7 +87,7 @@ def trajectories(
 
 
 def shown_bodies(recording: RecordedData, bodies: Sequence[int | str] | None) -> list[int]:
-    """Return the numbers of bodies, by default of all that the recording shows."""
+    """Return the numbers of bodies, by default of all bodies that the recording shows."""
     return list(recording.shown) if bodies is None else [shown_body(recording, body) for body in bodies]
 
 
@@ -161,7 +161,7 @@ def _recorded_paths(
 
 
 def checkpoints_at(recording: RecordedData, start: dict[str, Values], steps: Iterable[int]) -> Iterator[Checkpoint]:
-    """Yield the exact states at some steps; ``start`` is the state before the frames of a clip, else empty."""
+    """Yield the exact states at some steps; ``start`` is the state before the frames of a clip, otherwise empty."""
     from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
 
     frames = recording.fingerprints()
@@ -169,7 +169,7 @@ def checkpoints_at(recording: RecordedData, start: dict[str, Values], steps: Ite
     chunk: Chunk | None = None  # one chunk serves consecutive steps
     for step in steps:
         if chunk is None or step not in chunk.batch[STEP].to_numpy():
-            chunk = None  # freed before the next chunk is read, since a chunk may have 400 MB
+            chunk = None  # a chunk is freed before the next one is read, since it may have 400 MB
             chunk, _ = recording.row(paths.CHECKPOINT, step) or (None, 0)
         if chunk is not None:
             place = int(np.flatnonzero(chunk.batch[STEP].to_numpy() == step)[-1])

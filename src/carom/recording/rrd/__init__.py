@@ -1,4 +1,4 @@
 """The .rrd container format: framing, messages, index and salvage.
 
-The package handles only bytes, and does not depend on the rest of carom.
+The package handles only bytes, and depends on no other part of carom.
 """

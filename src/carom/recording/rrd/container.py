@@ -31,8 +31,8 @@ from carom.recording.rrd.messages import (
 )
 from carom.recording.timelines import STEP
 
-_ZIP = b"PK\x03\x04"  # first bytes of a zip file, such as a bug report
-_SHORTEST = 100  # fewest bytes of a chunk's message, whose schema alone is longer
+_ZIP = b"PK\x03\x04"  # first bytes of a zip file, for example of a bug report
+_SHORTEST = 100  # fewest bytes of a chunk's message; the schema alone is longer
 _MANIFEST = {
     "chunk_entity_path": pa.string(),
     "chunk_is_static": pa.bool_(),
@@ -69,7 +69,7 @@ class Container:
             return cls(path, index.stores(), finished=False)
 
     def chunks(self, entries: Iterable[Entry]) -> Iterator[Chunk]:
-        """Read chunks in order. Raises DamageError if one differs from the index."""
+        """Read chunks in order. Raises DamageError if a chunk differs from the index."""
         with self.path.open("rb") as file:
             stored = os.fstat(file.fileno()).st_size
             for entry in entries:
@@ -83,7 +83,7 @@ class Container:
 
 
 class ChunkIndex:
-    """An index built message by message, for a file of ``stored`` bytes without a footer."""
+    """An index that is built message by message, for a file of ``stored`` bytes without a footer."""
 
     def __init__(self, stored: int) -> None:
         self._stored = stored
@@ -151,8 +151,9 @@ def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> 
 
 
 _WINDOW = 1 << 22  # bytes searched at a time
-_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # a message: field 1, bytes
-_PATIENCE = 4  # most bytes read in the search for messages, over the size of the file
+# a message begins with field 1 as bytes
+_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)
+_PATIENCE = 4  # most bytes read in the search for messages, in sizes of the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +171,7 @@ class Salvage:
 
     stores: list[Store] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
-    missing: list[Entry] = field(default_factory=list)  # entries that the footer lists, but that are unreadable
+    missing: list[Entry] = field(default_factory=list)  # entries that the footer lists, but that cannot be read
     layout_lost: bool = False
     finished: bool = False  # whether the file has a footer that matches its chunks
 
@@ -182,7 +183,7 @@ def salvage(path: Path) -> Salvage:
     with path.open("rb") as file:
         _Pass(file, path.stat().st_size, found).go()
     if listed is not None:
-        # keeps only chunks that match the footer
+        # only chunks that match the footer are kept
         readable = {(store.kind, store.store_id): set(store.entries) for store in found.stores}
         for store in listed:
             gone = [entry for entry in store.entries if entry not in readable.get((store.kind, store.store_id), set())]
@@ -198,7 +199,7 @@ def salvage(path: Path) -> Salvage:
 
 
 def _listed(path: Path) -> list[Store] | None:
-    """Read the footer's index; None without a valid one."""
+    """Read the footer's index; None without a valid footer."""
     with path.open("rb") as file:
         try:
             if framing.read_footer(file) is None:

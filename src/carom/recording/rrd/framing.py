@@ -1,8 +1,8 @@
 """The boundaries of the messages in an .rrd file, so that a writer can stop at the end of a message.
 
 A stream header of 12 bytes (``RRF2``, version, options) is followed by messages: kind and length as little-endian
-uint64, then that many bytes. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer follow it.
-Every reader refuses a file that ends inside a message, but opens one that ends between two messages.
+uint64, then as many bytes as the length. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer
+follow it. Every reader refuses a file that ends inside a message, but opens a file that ends between two messages.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ END, STORE, CHUNK, ACTIVATION = 0, 1, 2, 3  # kinds of messages
 
 _MAGIC, _PROTOBUF = b"RRF2", 2
 _MESSAGE = struct.Struct("<QQ")
-# offset, length and checksum of the end message's body; magic, number of footers
+# layout of the footer: offset, length and checksum of the end message's body; magic, number of footers
 _FOOTER = struct.Struct("<QQI8sI")
 _FOOTER_MAGIC = b"RRF2FOOT"
-_FOOTER_SEED = 7850921  # of the checksum
+_FOOTER_SEED = 7850921  # seed of the checksum
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ def looks_recorded(path: Path) -> bool:
 
 
 def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
-    """Yield the messages up to the end message or the end of the file; DamageError where no whole message follows."""
+    """Yield the messages up to the end message or the end of the file; DamageError if no complete message follows."""
     size = os.fstat(file.fileno()).st_size
     while start < size:
         file.seek(start)
@@ -127,11 +127,11 @@ class MessageSplitter:
         self._ended = False
 
     def add(self, piece: bytes | memoryview) -> None:
-        """Add a piece; after a MemoryError it may be added again."""
+        """Add a piece; after a MemoryError, the same piece may be added again."""
         self._pending += piece
 
     def pass_on(self, write: Callable[[memoryview], None]) -> bool:
-        """Pass the next whole message to a function, which must copy what it keeps; return whether there was one."""
+        """Pass the next complete message to a function, which must copy what it keeps; return whether there was one."""
         length = self._next_length()
         if length is None or length > len(self._pending):
             return False

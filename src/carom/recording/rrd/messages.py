@@ -1,8 +1,8 @@
 """The messages of an .rrd file: chunks of rows and the stores they belong to, decoded and checked.
 
 Rerun's own reader trusts a file. With one wrong byte it may abort the process, or request more memory than exists (one
-file in sixty with a few changed bytes). Recordings may come from strangers and damaged disks, so carom decodes them
-itself and checks everything before use.
+file in sixty with a few changed bytes). Recordings may come from strangers and damaged disks, so carom decodes messages
+itself, and checks everything before use.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from carom.recording.rrd.framing import Message
 from carom.recording.timelines import SIM_TIME, STEP
 
 # The sizes that an Arrow IPC stream claims are checked before memory is allocated. In some Arrow types, a hundred bytes
-# can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers can be compressed a
-# second time, or shared. carom writes none of these and refuses them.
+# can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers can also be compressed
+# a second time, or shared. carom writes no such data, and refuses them.
 
 LARGEST = 1 << 31  # most bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
 
@@ -32,12 +32,14 @@ _LARGE = 50_000_000  # bytes in one allocation by Arrow above which memory is re
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # largest compression by LZ4
 _ROOMY = 1 << 26  # bytes to which a chunk of any file may unpack; batches have 4 MB, and a clip takes six times a chunk
-# the same for a larger chunk, over its file: 1.3 GB over 200 MB with 10⁷ spinning bodies at rest on a lattice
+# bytes to which a larger chunk may unpack, relative to its file: 1.3 GB in 200 MB with 10⁷ spinning bodies at rest on a
+# lattice
 _MOST_TIMES = 8
-_LEAST_ROW = 8  # fewest bytes of the file per row; 18 in a run of 20 000 equal steps, mostly its identity and time
+# fewest bytes of the file per row; in a run of 20 000 equal steps there are 18, mostly for identity and time
+_LEAST_ROW = 8
 _DEEPEST = 8  # most levels of nested types; Rerun's layouts have five
 _WIDEST = 16  # most values in a list of fixed size: a quaternion has 4, an identifier 16
-_MOST_COLUMNS = 10_000  # most columns of an index, which has four per component
+_MOST_COLUMNS = 10_000  # most columns of an index, which has four for each component
 _BITS = 8  # most values per byte, since each takes at least one bit
 
 _LEAVES = {
@@ -47,11 +49,12 @@ _LEAVES = {
 
 
 def record_batch(payload: memoryview, compression: int, size: int, stored: int = 0) -> pa.RecordBatch:
-    """Decode one record batch of ``size`` bytes; its compression, as numbered by Rerun, is LZ4 or none.
+    """Decode one record batch of ``size`` bytes; ``compression``, as numbered by Rerun, is LZ4 or none.
 
     ``stored`` is the size of the file (bytes), which bounds the size of a batch above `_ROOMY`.
 
-    Raises DamageError if it is incomplete, claims more than its bytes can hold, or has a type that is never written.
+    Raises DamageError if the batch is incomplete, claims more than its bytes can hold, or has a type that is never
+    written.
     """
     if compression == _LZ4:
         if size > min(LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK, max(_ROOMY, _MOST_TIMES * stored)):
@@ -86,7 +89,7 @@ def record_batch(payload: memoryview, compression: int, size: int, stored: int =
 
 
 def release_memory() -> None:
-    """Return the memory of freed large chunks to the system, such as 400 MB for a recording of a million bodies."""
+    """Return the memory of freed large chunks to the system: 400 MB for a recording of a million bodies."""
     pool = pa.default_memory_pool()
     if pool.max_memory() > _LARGE:
         pool.release_unused()
@@ -106,14 +109,14 @@ def _believe(claimed: Claims, body: pa.Buffer | None) -> None:
 
 
 def _admit(column: pa.Field, depth: int = 0) -> None:
-    """Refuse types that carom never writes, and names that are not UTF-8, on which Rerun would panic."""
+    """Refuse types that carom never writes, and names that are not UTF-8, since Rerun would panic on them."""
     names = [column.name.encode(), *(word for pair in (column.metadata or {}).items() for word in pair)]
     for name in names:
         name.decode()
     kind = column.type
     if depth > _DEEPEST:
         raise DamageError("a chunk of too deeply nested types")
-    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # the unions of a layout mark missing values by null
+    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # the unions of a layout mark missing values by nulls
         return
     fixed = pa.types.is_fixed_size_list(kind) and 1 <= kind.list_size <= _WIDEST
     union = pa.types.is_union(kind) and kind.mode == "dense"
@@ -127,7 +130,7 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
 
 Fields = dict[int, list["int | memoryview"]]
 
-_LONGEST_VARINT = 64  # bits
+_LONGEST_VARINT = 64  # most bits of an integer
 _MOST_FIELDS = 1000  # most fields in a message; messages of an .rrd have up to six
 
 
@@ -209,7 +212,7 @@ _ARROW_IPC = 1
 class Chunk:
     """Rows of one entity, decoded and checked."""
 
-    entity_path: str  # without the leading slash
+    entity_path: str  # path without the leading slash
     batch: pa.RecordBatch  # columns: row ids, timelines and components
 
     @property
@@ -278,7 +281,7 @@ def store_of(body: bytes) -> Store:
 
 
 def activated_by(body: bytes) -> Store:
-    """Decode the message that ends a layout; without it, a layout was not sent completely."""
+    """Decode the message that ends a layout; without this message, a layout was not sent completely."""
     return store_named(data(fields(memoryview(body)), 1))
 
 
@@ -304,7 +307,8 @@ def decode(body: bytes, stored: int = 0) -> tuple[Store, Chunk]:
 def entry_of(chunk: Chunk, message: Message) -> Entry:
     """Make the index entry of a decoded chunk."""
     first = last = None
-    if STEP in chunk.timelines and chunk.batch.num_rows:  # a component has that name in the exact start of a clip
+    # in the exact start of a clip, a component has the name of this timeline
+    if STEP in chunk.timelines and chunk.batch.num_rows:
         ends = pc.min_max(chunk.batch[STEP])
         first, last = ends["min"].as_py(), ends["max"].as_py()
     return Entry(chunk.entity_path, chunk.is_static, chunk.batch.num_rows, first, last, message.offset, message.length)

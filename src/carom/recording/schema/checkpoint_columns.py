@@ -41,10 +41,10 @@ Column = tuple[Values, list[int]]  # the values of all rows, and the number of v
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
-_BY_NAME = ("forces", "others")  # columns of energies by name, an object in JSON
+_BY_NAME = ("forces", "others")  # columns of energies by name, each an object in JSON
 _IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # columns that only some runs measure or find
-BOOKS_BYTES = 1200  # of the books of a checkpoint, as JSON
-_FULL = 7  # contacts per body in a dense packing, with near ones
+BOOKS_BYTES = 1200  # bytes of the books of a checkpoint, as JSON
+_FULL = 7  # contacts per body in a dense packing, near contacts included
 _PRESENT = "present"
 _OF_BODIES = tuple(name for name, (first, *_) in saved_fields(Checkpoint).items() if first.per == BODY)
 
@@ -78,7 +78,7 @@ def _values_of(checkpoint: Checkpoint) -> dict[str, Any]:
 
 
 def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoint:
-    """Spread the state of the bodies that exist over places for all bodies of the run."""
+    """Spread the state of the bodies that exist over the places of all bodies of the run."""
     wide = dict[str, FloatArray]()
     for name in _OF_BODIES:
         values = getattr(found, name)
@@ -95,7 +95,7 @@ def size(frame: Frame) -> int:
 
 def _size_of(part: Any) -> int:
     """Return the bytes of an object with saved fields, and of its parts; repeated fields are not stored."""
-    kind: Any = type(part)  # to mypy, a class cannot be a key
+    kind: Any = type(part)  # for mypy, a class cannot be a key
     numbers, parts = _counted(kind)
     total = sum(_size_of(each) for name in parts if (each := getattr(part, name)) is not None)
     for name, each, is_named in numbers:
@@ -147,7 +147,7 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 def _column(parts: Sequence[Values]) -> Column:
     """Join the values of a component in all rows."""
     each = [len(part) for part in parts]
-    if len(parts) == 1:  # not a copy, which would take 130 MB for a million bodies
+    if len(parts) == 1:  # return no copy, which would take 130 MB for a million bodies
         return parts[0], each
     texts = [text for part in parts if isinstance(part, list) for text in part]
     return (texts, each) if texts else (np.concatenate(parts), each)
@@ -197,7 +197,7 @@ def _components_of(part: Any) -> dict[str, Values]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, which takes most of the time."""
+    """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, and take most of the time."""
     names = _fields_of(value.__class__)
     if names is None:
         return [_plain(entry) for entry in value] if isinstance(value, tuple) else value
@@ -210,7 +210,7 @@ def _plain(value: Any) -> Any:
 
 @cache
 def _fields_of(kind: type) -> tuple[str, ...] | None:
-    """Return the names of the fields of a data class; None if it is not one."""
+    """Return the names of the fields of a data class; None if it is not a data class."""
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
@@ -218,7 +218,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     """Undo `encode` for one row.
 
     Raises RecordingError if the row is incomplete, has another number of bodies, is not finite, or differs from its
-    digest, since a file from a stranger may contain anything.
+    digest, since a stranger's file may contain anything.
     """
     try:
         present = stored.get(_PRESENT)
@@ -239,7 +239,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
 
 
 class _Row:
-    """One row of stored components, each checked before it is used."""
+    """One row of stored components; each component is checked before it is used."""
 
     def __init__(self, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> None:
         self._stored = stored
@@ -274,13 +274,13 @@ class _Row:
         return made
 
     def _named(self, owner: type[Any], prefix: str) -> NamedEnergies:
-        """Return the energies whose components begin with a prefix and are not another field, in alphabetical order."""
+        """Return, in alphabetical order, the energies whose components begin with a prefix and are no other field."""
         known = {each.name for components in saved_fields(owner).values() for each in components}
         names = sorted(name for name in self._stored if name.startswith(prefix) and name not in known)
         return tuple((name.removeprefix(prefix), float(self._finite(name, 1)[0])) for name in names)
 
     def _values(self, saved: Saved, counts: dict[str, int]) -> Any:
-        """Return the number or the array of a component; ``counts`` are the rows of each kind that are known."""
+        """Return the number or the array of a component; ``counts`` are the known numbers of rows, by kind."""
         name, width = saved.name, saved.width
         if saved.is_pairs:
             pairs = self._pairs(name)

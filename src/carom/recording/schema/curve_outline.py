@@ -1,4 +1,4 @@
-"""`CurveOutline`: the outline of a recorded series, from which plots choose axes, and legends their places."""
+"""`CurveOutline`: the outline of a recorded series, from which plots choose their axes, and legends their places."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 
-_SPANS = 512  # resolves the edge of a legend to a few pixels
+_SPANS = 512  # number of spans, which resolves the edge of a legend to a few pixels
 _CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
 
 
@@ -19,8 +19,8 @@ class CurveOutline:
         self._time = np.zeros(0)  # (k,) s, start of each span
         self._low = np.zeros(0)  # (k,)
         self._high = np.zeros(0)  # (k,)
-        self._between = (np.inf, -np.inf)  # extremes of all values but the first and the last
-        self._last = np.zeros(0)  # the last value; empty before the first value, which is omitted
+        self._between = (np.inf, -np.inf)  # extremes of all values except the first and the last
+        self._last = np.zeros(0)  # the last value; empty at first, since the very first value is omitted
         self._begun = False
 
     @classmethod
@@ -41,7 +41,7 @@ class CurveOutline:
             self._last, self._begun = later[-1:], True
         self._time = np.concatenate((self._time, time))
         self._low, self._high = np.concatenate((self._low, value)), np.concatenate((self._high, value))
-        while len(self._time) > 2 * _SPANS:  # join the spans in pairs
+        while len(self._time) > 2 * _SPANS:  # the spans are joined in pairs
             pairs = np.arange(0, len(self._time), 2)
             self._time = self._time[pairs]
             self._low = np.minimum.reduceat(self._low, pairs)
@@ -71,7 +71,7 @@ class CurveOutline:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the series is constant, without its ends: dt begins at 0, and the last step is shorter."""
+        """Whether the series is constant between its ends: dt begins at 0, and the last step is shorter."""
         low, high = self._between
         return high <= low or high - low <= _CURVE_ROUNDING * max(abs(low), abs(high))
 
@@ -86,7 +86,7 @@ class CurveOutline:
         return scaled
 
     def times(self) -> tuple[float, float]:
-        """Return the time (s) of the first span and of the last."""
+        """Return the times (s) of the first and the last span."""
         return (float(self._time[0]), float(self._time[-1])) if len(self._time) else (np.inf, -np.inf)
 
     def range(self, start: float = -np.inf, end: float = np.inf) -> tuple[float, float]:

@@ -57,7 +57,7 @@ class ShownMaterials:
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        """Return each material with the number of its bodies and its kinds of contacts, for `carom inspect --json`."""
+        """Describe each material for `carom inspect --json`: the number of its bodies, and its kinds of contacts."""
         count = np.bincount(self.index, minlength=len(self.names)).tolist()
         return [
             {
@@ -74,19 +74,20 @@ class ShownMaterials:
 
 Scalar = str | int | float | bool
 
-STATIC_COLOURS = ("group", "material")  # colourings that are constant during a run
+STATIC_COLOURS = ("group", "material")  # colourings that do not change during a run
 COLOUR_BY = (*STATIC_COLOURS, "speed", "graph", "island")
 
 _FLAGS = {
     "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
-    "record.impacts": "records_contacts",  # no part of the model; series of contacts depend on it
-    "wall.motion": "drives",  # no part of the model; the series of moving walls' work depends on it
-    "piston": "has_piston",  # no part of the model; the series of the piston's motion depend on it
-    "release": "admits",  # no part of the model; the series of entering bodies' energy depends on it
-    "driving-field": "has_driving_field",  # the same for the series of the field's work on periodic axes
-    "shear": "shears",  # no part of the model; the series of the sheared box's work depends on it
+    "record.impacts": "records_contacts",  # not a part of the model, but series of contacts depend on it
+    "wall.motion": "drives",  # not a part of the model, but the series of the work of moving walls depends on it
+    "piston": "has_piston",  # not a part of the model, but the series of the piston's motion depend on it
+    "release": "admits",  # not a part of the model, but the series of the energy of entering bodies depends on it
+    # not a part of the model, but the series of the field's work along periodic axes depends on it
+    "driving-field": "has_driving_field",
+    "shear": "shears",  # not a part of the model, but the series of the work of a sheared box depends on it
     "spin": "spins",
     "stabilisation": "stabilises",
 }
@@ -114,14 +115,14 @@ class SweepMember:
 class Header:
     """The static data of a run: its bodies, and the parts of the model that the scene requires.
 
-    A recording has no entities for parts whose flag is false.
+    If the flag of a part is false, the recording has no entities for this part.
     """
 
     title: str
     description: str  # Markdown, for people
     scene_toml: str  # the exact text
     seed: int
-    run_id: str  # a UUID, which is the recording id
+    run_id: str  # a UUID, which is also the id of the recording
     names: Sequence[str]  # (n,)
     group: IntArray  # (n,) group of each body; bodies of one group share a hue
     mass: FloatArray  # (n,) kg
@@ -131,7 +132,7 @@ class Header:
     has_orientation: bool
     has_torque: bool  # whether bodies also have angular accelerations
     has_friction: bool
-    forces: frozenset[str]  # names as in `scene.forces` or in extensions
+    forces: frozenset[str]  # names of forces, as in `scene.forces` or in extensions
     collides: bool
     stabilises: bool  # whether position correction removes overlaps, which adds energy
     body_colouring: bool  # contact.colouring = "bodies": bodies have colours in the collision graph
@@ -145,8 +146,8 @@ class Header:
     entries: EntryStates | None = None  # how bodies enter; None if all exist from the start
     outlets: Sequence[str] = ()  # names of the places where bodies leave
     has_driving_field: bool = False  # whether a uniform field has a component along a periodic axis
-    shear: Shear | None = None  # of a periodic domain
-    record_impacts: Literal["auto", "all", "none"] = "none"  # for impacts, and for the contact table
+    shear: Shear | None = None  # shear of a periodic domain
+    record_impacts: Literal["auto", "all", "none"] = "none"  # which impacts and contact tables are recorded
     box: FloatArray | None = None  # (3,) m, size of a periodic domain, `ENDLESS` along axes that do not repeat
     units: UnitSystem = SI  # units of the recorded and of the printed numbers
     walls: FloatArray | None = None  # (3,) m, size of a walled domain
@@ -165,7 +166,7 @@ class Header:
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     judged: BoolArray | None = None  # (n,) bodies of another engine whose laws are known; None: all
-    drawn_as: str = ""  # the shape of drawn bodies, where their number does not determine it
+    drawn_as: str = ""  # shape of drawn bodies, unless it is determined by their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions of extensions by name; see `extensions_of`
 
     def models(self, part: str) -> bool:
@@ -181,7 +182,7 @@ class Header:
         return self.units.unit(OF_UNIT[si]) or "1"
 
     def plot_factor(self, si: str) -> float:
-        """Return the size of a plot's unit in recorded numbers, given the SI unit of a quantity."""
+        """Return the size of a plot's unit in recorded numbers, given the SI unit of the quantity."""
         return self.units.factor(OF_UNIT[si]) if si in OF_UNIT else 1.0
 
     @property
@@ -215,7 +216,7 @@ class Header:
         return self.shear is not None
 
     def cell(self, time: float) -> FloatArray | None:
-        """Return the size of the periodic box, (3,) m, or the vectors to its images if it is sheared, (3, 3) m."""
+        """Return the size of the periodic box, (3,) m, or of a sheared box the vectors to its images, (3, 3) m."""
         return self.box if self.box is None or self.shear is None else self.shear.cell(self.box, time)
 
     @property
@@ -225,7 +226,7 @@ class Header:
 
     @property
     def drawn_box(self) -> FloatArray | None:
-        """Size of the periodic box as drawn, (3,) m; along other axes, the size of the walls, or 0."""
+        """Size of the periodic box as drawn, (3,) m; along other axes, the size of the walls or 0."""
         if self.box is None:
             return None
         return np.where(self.box < ENDLESS, self.box, 0.0 if self.walls is None else self.walls)
@@ -271,9 +272,10 @@ LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
-_PAST_THE_END = 1.02  # factor on `_LONGEST` up to which a time still fits into 2⁶³ ns
+_PAST_THE_END = 1.02  # up to this factor times `_LONGEST`, a time still fits into 2⁶³ ns
 _SMALLEST_POWER = -300  # smallest power of ten of a scale; 1e-308 is the smallest normal number
-_COARSEST = 1.0e-6  # s, longest scaled step; with shorter ones, times of impact would have fewer than three digits
+# s, shortest scaled step without a finer scale; with shorter steps, times of impact would have fewer than three digits
+_COARSEST = 1.0e-6
 _FINE = 1.0e-3  # s, shortest step after scaling, so that times within a step have six digits
 
 
@@ -290,7 +292,7 @@ class TimeScale:
     def fitting(cls, duration: float, shortest_dt: float) -> TimeScale:
         """Choose the scale: 1 if possible, above 1 for long scenes, below 1 for very short steps.
 
-        If a scene is long and has very short steps, the duration fits, and short steps are rounded.
+        If a scene is long and has very short steps, the scale fits the duration, and short steps are rounded.
         """
         least = math.ceil(math.log10(duration / _LONGEST)) if 0.0 < duration < math.inf else _SMALLEST_POWER
         if least > 0:
@@ -308,7 +310,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert seconds to nanoseconds below the time of the frame that ends at ``ends`` (s); see `Index`."""
+        """Convert seconds to nanoseconds before the frame that ends at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 
@@ -317,13 +319,13 @@ _VIEWER_UNITS = (("d", 86400.0), ("h", 3600.0), ("min", 60.0), ("s", 1.0))
 
 
 def viewer_time(units: UnitSystem, clock: TimeScale) -> str:
-    """Relate the viewer's times, in s, min, h and d, to the times of a scene; empty if they are the same."""
+    """Relate the viewer's times, in s, min, h and d, to the times of a scene; empty if the times are the same."""
     if units.is_si and clock.scale == 1.0:
         return ""
     if units.own or units.is_si:
         text = units.text(clock.scale, TIME, ".6g")
         return f"+1s is {text if units.unit(TIME) else f'{text} unit of time'}"
-    name, length = units.unit(TIME), units.factor(TIME) / clock.scale  # s of the viewer
+    name, length = units.unit(TIME), units.factor(TIME) / clock.scale  # length of the unit in seconds of the viewer
     if name == "s" and clock.scale == 1.0:
         return ""
     unit, size = next((each for each in _VIEWER_UNITS if each[1] <= length), _VIEWER_UNITS[-1])

@@ -1,8 +1,8 @@
 """Colours, as 0xRRGGBBAA, that colour-blind readers can distinguish.
 
-The 3D views use Okabe and Ito's palette on a dark background; on paper, in the light theme, its bright colours are
-darkened (`legible`). Plots have the background of the theme. The curves of plots use `LINES`, whose colours have a
-contrast of at least 3 to 1 on both backgrounds.
+The 3D views use Okabe and Ito's palette on a dark background; on paper, in the light theme, the bright colours of this
+palette are darkened (`legible`). Plots have the background of the theme. The curves of plots use `LINES`, whose colours
+have a contrast of at least 3 to 1 on both backgrounds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PURPLE = 0xCC79A7FF
 GREY = 0x9A9A9AFF
 WHITE = 0xFFFFFFFF
 BACKGROUND = 0x0B0E14FF
-GROUNDS = {"dark": BACKGROUND, "light": WHITE}  # of 3D views
+GROUNDS = {"dark": BACKGROUND, "light": WHITE}  # grounds of 3D views
 INKS = {"dark": WHITE, "light": 0x16181DFF}  # colours of text and lines on these grounds
 
 # A search maximised the smallest difference between two colours, with and without colour blindness: ΔE ≥ 18 (CIE76).
@@ -46,16 +46,18 @@ STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "
 SERIAL_STAGE = 64  # contacts with more colours than this are solved serially, last, and drawn white
 STAGE_COLOURS = np.array([*itertools.islice(itertools.cycle(STAGES), SERIAL_STAGE), WHITE], dtype=np.uint32)
 
-# Hues of bodies, which no quantity has: a body is never taken for a torque, an impulse or an edge. A search over a grid
-# of CIELAB maximised the smallest difference between two of them (ΔE ≥ 39, CIE76; ≥ 22 with colour blindness) among
-# colours that differ from `ARROWS` and from edges by at least 33 (11), and have a contrast of 4.2 to 1 on dark.
+# Hues of bodies; no quantity has these hues, so a body is never taken for a torque, an impulse or an edge. A search
+# over a grid of CIELAB maximised the smallest difference between two of them (ΔE ≥ 39, CIE76; ≥ 22 with colour
+# blindness) among colours that differ from `ARROWS` and from edges by at least 33 (11), and have a contrast of 4.2 to 1
+# on dark.
 CLAY = 0xA96D59FF
 INDIGO = 0x756CE5FF
 SAGE = 0xA1C4A8FF
 ROSE = 0xF6D2F0FF
 OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
-BODIES = (SKY, CLAY, INDIGO, MINT, SAGE, ROSE, OLIVE)  # on white, olive resembles the yellow of impulses
+# hues of bodies; on white, olive resembles the yellow of impulses
+BODIES = (SKY, CLAY, INDIGO, MINT, SAGE, ROSE, OLIVE)
 
 NAMED = {  # names for colours of materials in scenes; colours of bodies come first
     "sky-blue": SKY,
@@ -87,18 +89,19 @@ ARROWS = {  # colours by entity: an arrow has one colour in every view
     paths.FORCE_NORMAL: YELLOW,
     paths.FORCE_FRICTION: PURPLE,
 }
-SPIN = 0x5CE0B0FF  # the palette's green is hardly visible on the bodies
+SPIN = 0x5CE0B0FF  # the green of the palette would hardly be visible on the bodies
 FIELD = GREY
-GRIDS = {"dark": 0x5A626EFF, "light": 0xA8AEB6FF}  # of planes, fainter than what stands on them
+GRIDS = {"dark": 0x5A626EFF, "light": 0xA8AEB6FF}  # colours of the grids on planes, fainter than bodies on the planes
 
-SLATE, DEEP_SLATE = 0x6F8296FF, 0x55657AFF  # of what needs no hue, since its name is written in it
-# Colours of curves that show what arrows, edges or points show, too: the same hues, with a contrast of 3 to 1 in plots.
+SLATE, DEEP_SLATE = 0x6F8296FF, 0x55657AFF  # colours of things that need no hue, since their names are written on them
+# Colours of curves for quantities that arrows, edges or points also show: the same hues, with a contrast of 3 to 1 in
+# plots.
 CONTACTS = VERMILION
-IMPACTS = 0x9F9728FF  # yellow, darkened
+IMPACTS = 0x9F9728FF  # colour of impacts: yellow, darkened
 FRICTION = PURPLE
 
 PHASES = {"warm-up": GREY, "free": SLATE, "colliding": VERMILION, "settled": DEEP_SLATE}
-DT_LIMITS = {  # dull, unless a limit is about impacts, friction or contacts
+DT_LIMITS = {  # colours of limits, which are dull unless the limit is about impacts, friction or contacts
     "start": GREY,
     "acceleration": 0x7D6A8CFF,
     "held": 0x8C6BB1FF,
@@ -115,12 +118,13 @@ DT_LIMITS = {  # dull, unless a limit is about impacts, friction or contacts
     "end": DEEP_SLATE,
 }
 
-MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue would have over ten bodies
+MOST_SINGLE = 70  # most single bodies that get hues in turn; with more bodies, a hue would have over ten of them
 
 _GOLDEN = 0.6180339887498949  # fractional parts of its first k multiples fill (0, 1) evenly for every k
-_SHADE = 0.3  # fraction by which the darkest body of a group is darker than its hue
+_SHADE = 0.3  # fraction by which the darkest body of a group is darker than the group's hue
 FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of bodies that are not the subject of a view
-_BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24  # for a contrast of 4.5 to 1 on labels, #efefef and #1b1d20 in pictures
+# luminances with a contrast of 4.5 to 1 on labels, whose grounds are #efefef and #1b1d20 in pictures
+_BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminances with a contrast of 3 to 1 on white, and on a dark plot
 
 
@@ -128,8 +132,8 @@ def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     """Return colours of the same hues that have a contrast of at least 3 to 1 on a background.
 
     The theme "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for
-    white paper. By default the colours suit both themes, as colours of curves must: plots have the background of the
-    viewer's theme.
+    white paper. By default, the colours suit both themes. Colours of curves must do so, since plots have the background
+    of the viewer's theme.
     """
     given = np.array([*colours], dtype=np.uint32)
     return given if theme == "dark" else _within(given, 0.0 if theme else _DARKEST, _BRIGHTEST)
@@ -185,7 +189,7 @@ def body_colours(group: IntArray) -> NDArray[np.uint32]:
 
 
 def material_colours(given: Sequence[str | None]) -> list[int]:
-    """Return the colours of materials: the scene's, by name or as "#rrggbb", or otherwise an unused colour."""
+    """Return the colours of materials: from the scene, by name or as "#rrggbb", or otherwise an unused colour."""
     chosen = [None if colour is None else NAMED.get(colour) or int(f"{colour[1:]}ff", 16) for colour in given]
     left = itertools.cycle([hue for hue in BODIES if hue not in chosen] or BODIES)
     return [next(left) if colour is None else colour for colour in chosen]

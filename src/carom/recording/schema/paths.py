@@ -1,6 +1,6 @@
 """The entities of a recording, the kinds of its events, and the version of the schema.
 
-The entities of scalars are in `series`.
+The entities of scalars are in the module `series`.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 SCHEMA_VERSION = 6  # schema of recordings; a version of carom reads only the schema that it writes
 
 ABOUT = "about"  # texts for readers without carom
-LEGEND = "legend"  # the drawn legend beside a viewer
+LEGEND = "legend"  # entity of the drawn legend, which a viewer gets in addition
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
 WORLD = "world"
@@ -16,13 +16,13 @@ MAGNIFIED = "magnified"  # transforms with which views magnify small scenes
 BODIES = "world/bodies"
 PLANES = "world/planes"
 PLANE_LINES = 13  # lines, in each direction, of the grid that shows a plane
-WALLS = "world/walls"  # of the domain
+WALLS = "world/walls"  # walls of the domain
 SHAPES = "world/shapes"  # walls of other shapes
-MOVING = "world/moving"  # folder of planes and walls, each an entity, where one of them moves
+MOVING = "world/moving"  # folder of the planes and walls, each an entity, if any of them moves
 PERIODIC_BOX = "world/box"
-TORQUE = "world/torque"  # of contacts that last
+TORQUE = "world/torque"  # torques of contacts that last
 ANGULAR_ACCELERATION = "world/angular_acceleration"
-ANGULAR_IMPULSE = "world/angular_impulse"  # of impacts
+ANGULAR_IMPULSE = "world/angular_impulse"  # angular impulses of impacts
 SPIN_CHANGE = "world/spin_change"
 CONTACTS = "world/contacts"
 FORCE_NORMAL = "world/forces/normal"
@@ -41,7 +41,7 @@ CHECKPOINT = "state/checkpoint"
 START = "state/start"  # exact state before the first frame of a clip
 STATIC_STATE = "state/bodies"
 ENTRY = "entry_"  # prefix of the components that state how bodies enter
-LIVES = "state/lives"  # steps of the first and the last frame of each body, where bodies come and go
+LIVES = "state/lives"  # steps of the first and the last frame of each body, if bodies come and go
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
 IMPACT_SUMS = "impact_sums"  # component of contacts: the sums over all impacts since the previous frame
@@ -60,5 +60,6 @@ MAGNITUDES = {  # component of an entity's arrows: magnitudes in SI, which lengt
     FORCE_FRICTION: "tangential_impulse",
 }
 
-CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
+# components with the centres of drawn bodies
+CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")
 CLOSING = frozenset({"extreme", "end"})  # events written when a run ends; a resumed run writes its own

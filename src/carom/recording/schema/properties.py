@@ -1,6 +1,6 @@
 """The properties of a recording: one table of the values that are written, read and accepted under each key.
 
-A recording may come from a stranger, so values of other kinds are refused before they are used.
+A recording may come from a stranger, so values of wrong kinds are refused before they are used.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Property:
 
     key: str
     kind: str
-    # returns the value for a header, or values by key; None is not written, and other rows are written elsewhere
+    # returns the value for a header, or values by key; None is not written. Rows without `write` are written elsewhere
     write: Callable[[Header], Any] | None = None
     is_field: bool = False  # whether the property is read into the header's field with this name
     is_required: bool = False
@@ -65,7 +65,7 @@ def _rows(kind: str, keys: str) -> list[Property]:
 
 
 def _fields(kind: str, keys: str) -> list[Property]:
-    """Return properties with the values of fields of the header; None is not written."""
+    """Return properties with the values of fields of the header; values of None are not written."""
     return [Property(key, kind, attrgetter(key), is_field=True) for key in keys.split()]
 
 
@@ -87,7 +87,7 @@ def _notes(header: Header) -> dict[str, str]:
 
 
 def _normals(header: Header) -> dict[str, FloatArray]:
-    """Return the planes of another engine, which are drawn in single precision only."""
+    """Return the planes of another engine, since the drawing has them in single precision only."""
     planes = header.planes if header.engine else None
     return {f"plane_normal.{k}": normal for k, normal in enumerate(() if planes is None else planes.normal)}
 
@@ -104,7 +104,7 @@ def _forces(header: Header) -> dict[str, bool]:
 
 
 PROPERTIES: dict[str, list[Property]] = {
-    "carom": [  # the scene, the parts of its model, and the style of its drawing
+    "carom": [  # the scene, the parts of its model, and the style of the drawing
         Property("schema_version", WHOLE, lambda h: SCHEMA_VERSION),
         Property("bodies", COUNT, attrgetter("bodies"), is_required=True),
         Property("time_scale", POSITIVE, is_required=True),

@@ -33,7 +33,7 @@ THIN, THICK = 2.0, 4.0  # widths of curves in screen points; thinner curves woul
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot, all of whose series have the same unit."""
+    """A plot of series with the same unit."""
 
     title: str
     unit: str
@@ -55,10 +55,10 @@ PLOTS = (  # plots from left to right; the plots of a column are tabs
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT, _PISTON) = PLOTS
 _OUTFLOW = Plot("Outflow", "1/s")  # exists only in scenes with outlets
 _TABLE = "record.impacts"  # key of the scene that must not be "none" for series of the contact table
-# works on bodies that are recorded, but not parts of the model
+# works on bodies that are recorded, although they are no parts of the model
 _DRIVES = ("wall.motion", "piston", "release", "driving-field", "shear")
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
-# the scaled values are recorded, too, if the scene has a section [units].
+# scaled values are also recorded if the scene has a section [units].
 IN_PLOT = "in_plot"
 IMPULSES = Plot("Impulse of impacts", "N s")  # has one point for each recorded impact, from its own row
 
@@ -69,9 +69,9 @@ class Sample(NamedTuple):
     frame: Frame
     before: Frame | Checkpoint | None  # the previous frame; None for the first frame
     overlap: float  # m, deepest overlap of the frame's contacts; 0 without contacts
-    relative_overlap: float  # largest overlap over the smaller radius of its two bodies
+    relative_overlap: float  # largest overlap, relative to the smaller radius of its two bodies
     colours: float  # number of colours that contacts have
-    energy: Energy  # of the frame, J
+    energy: Energy  # energies of the frame, J
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
 
@@ -86,12 +86,12 @@ class Series:
     colour: int  # 0xRRGGBBAA
     plot: Plot | None  # one of `PLOTS`; None if the series is recorded, but not plotted
     value: Callable[[Sample], float]
-    meaning: str  # for docs/recording.md
+    meaning: str  # meaning, for docs/recording.md
     # part of the model (`carom explain`) that the series requires; None: it is always recorded
     part: str | None = None
     width: float = THIN
-    inside: bool = False  # whether the series is internal to carom's solver, so that runs of other engines lack it
-    # whether the plot of a constant series is omitted, too; a series of zeros is never plotted
+    inside: bool = False  # whether the series describes carom's own solver, so that runs of other engines lack it
+    # whether a constant series is not plotted; a series of zeros is never plotted
     flat_is_dull: bool = False
 
     def name_in(self, header: Header) -> str:
@@ -115,7 +115,7 @@ def _impact_rate(sample: Sample) -> float:
 
 
 def _largest_force(sample: Sample) -> float:
-    """Return the largest normal force (N) of a contact other than an impact: its impulse over the step."""
+    """Return the largest normal force (N) of a lasting contact: its impulse divided by the step."""
     rows, dt = sample.frame.contact_rows, sample.frame.dt
     if rows is None or dt <= 0.0:
         return 0.0
@@ -144,7 +144,7 @@ def _contacts_of(state: Frame | Checkpoint) -> ContactCheckpoint:
 
 
 def _force_on_piston(sample: Sample, number: int) -> float:
-    """Return the mean force (N) of the bodies on a piston since the previous frame."""
+    """Return the mean force (N) by which bodies pressed a piston since the previous frame."""
     frame, before = sample.frame, sample.before
     if before is None or frame.time <= before.time:
         return 0.0
@@ -166,7 +166,7 @@ def _rate_through(outlet: int, column: int) -> Callable[[Sample], float]:
 
 
 def _of_piston(number: int) -> Iterator[Series]:
-    """Yield the series of a piston; the first has number 0, which its names leave out."""
+    """Yield the series of a piston; the first piston has number 0, and its series have names without a number."""
     after, called = (f"_{number}", f"piston {number}") if number else ("", "piston")
     colours = list(LINES.values())
     blue, orange = (colours[(colours.index(first) + number) % len(colours)] for first in (BLUE, ORANGE))
@@ -203,7 +203,7 @@ def _of_piston(number: int) -> Iterator[Series]:
 
 
 def piston_series(count: int) -> Iterator[Series]:
-    """Yield the series of pistons beyond the first, which `SERIES` has."""
+    """Yield the series of all pistons but the first, whose series are in `SERIES`."""
     for number in range(1, count):
         yield from _of_piston(number)
 
@@ -280,7 +280,7 @@ SERIES = (
 # fmt: on
 
 
-# Legend and meaning by path for other engines, whose impulses are unknown.
+# Legends and meanings, by path, for other engines, since their impulses are unknown.
 OF_ENGINES = {
     "energy/ledger/restitution": (
         "lost while touching",
@@ -342,9 +342,9 @@ def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
 
 ONCE = "once, however long it is"
 
-# entity → the part of the model that it requires
+# entity → part of the model that it requires
 _PARTS = {paths.CONTACTS: "contact", paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "torque"}
-_ALWAYS = {  # entity → why it is always recorded
+_ALWAYS = {  # entity → reason why it is always recorded
     paths.DT_LIMIT: "adaptive or not",
     paths.PHASE: "where it changes",
     paths.EVENTS: "where something happens",
@@ -389,7 +389,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
     needed = [*_PARTS.items(), *((series.path, series.part) for series in _possible(header))]
     for path, name in needed:
-        if name == _TABLE:  # in `_contact_data`
+        if name == _TABLE:  # listed in `_contact_data`
             continue
         there = name is None or (header.models(name) if name in _DRIVES else parts[name])
         yield Content(path, there, (name or "always") if there else f"no {name}")
