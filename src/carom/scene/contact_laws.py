@@ -1,8 +1,8 @@
 """Contact laws: how a contact rebounds, slides, rolls and twists.
 
-`COULOMB` is the law of scenes that choose none. A scene selects another law by ``contact.law``, or several laws that
-define different functions, such as a restitution and a rolling resistance. The coefficients of a law are in a section
-``[contact.NAME]``, or in a section NAME of a material, a pair of materials or a plane.
+`COULOMB` is the law of scenes that choose none. A scene selects another law by ``contact.law``. It may select several
+laws if they define different functions, such as a restitution and a rolling resistance. The coefficients of a law are
+in a section ``[contact.NAME]``, or in a section NAME of a material, a pair of materials or a plane.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Numbers = Mapping[str, float]  # coefficients of a law by name, in SI units
 
 
 def geometric_mean(a: float, b: float) -> float:
-    """Return √(a b), which is a itself if both are equal."""
+    """Return √(a b), which is exactly a if both are equal."""
     return a if a == b else math.sqrt(a) * math.sqrt(b)  # the product could underflow
 
 
 def geometric_means(one: Numbers, other: Numbers) -> Numbers:
-    """Return the geometric mean of each coefficient, as for friction: 0 where one of the two is 0."""
+    """Return the geometric mean of each coefficient, as for friction; it is 0 if one of the two is 0."""
     return {name: geometric_mean(a, other[name]) for name, a in one.items()}
 
 
@@ -32,12 +32,12 @@ def geometric_means(one: Numbers, other: Numbers) -> Numbers:
 class ContactLaw:
     """A contact law: the impulses that a contact exerts.
 
-    carom compiles its functions with Numba, as in `carom.extend.BodyForce`. The first argument of each function is a
-    record of the coefficients of the two materials: the coefficients of Coulomb's law (``restitution``,
+    carom compiles the functions of a law with Numba, as in `carom.extend.BodyForce`. The first argument of each
+    function is a record of the coefficients of the two materials: the coefficients of Coulomb's law (``restitution``,
     ``static_friction``, ``kinetic_friction``) and of the law's section. None selects the function of Coulomb's law.
 
-    An angular impulse acts on body j, and the opposite one on body i. The function receives the angular impulse that
-    would end the relative rotation, and returns the exerted one. The exerted impulse must not be larger, since a
+    An angular impulse acts on body j, and the opposite impulse on body i. The function receives the angular impulse
+    that would end the relative rotation, and returns the exerted one. The exerted impulse must not be larger, since a
     contact only dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m or, at a plane, the radius of
     the body.
     """
@@ -47,7 +47,7 @@ class ContactLaw:
     rolling: Callable[..., tuple[float, float, float]] | None = None  # (p, normal, radius, x, y, z) → N m s, (3,),
     # about axes in the tangential plane; ``normal`` is the normal impulse in N s
     twisting: Callable[..., float] | None = None  # (p, normal, radius, stopping) → N m s, about the normal
-    restitution: Callable[..., float] | None = None  # arguments as in `carom.physics.contact.law`
+    restitution: Callable[..., float] | None = None  # see `carom.physics.contact.law` for the arguments
     equivalent_speed: Callable[..., float] | None = None
     dissipates: Callable[..., bool] | None = None
     impact_friction: Callable[..., float] | None = None
@@ -56,7 +56,7 @@ class ContactLaw:
     sticks: Callable[..., bool] | None = None
     slides: Callable[..., bool] | None = None
     coefficients: Callable[[Any], Numbers] = numbers_of  # coefficients from a section, in SI units
-    combined: Callable[[Numbers, Numbers], Numbers] = geometric_means  # of two materials
+    combined: Callable[[Numbers, Numbers], Numbers] = geometric_means  # combines the coefficients of two materials
 
 
 COULOMB = ContactLaw(None)
@@ -73,7 +73,7 @@ def law_called(name: str) -> ContactLaw:
 
 
 def functions_of(laws: Iterable[str]) -> dict[str, Callable[..., Any]]:
-    """Return the functions that laws define together, by name; the remaining ones are Coulomb's.
+    """Return the functions that laws define together, by name; the remaining functions are Coulomb's.
 
     Raises ValueError if two laws define the same function.
     """

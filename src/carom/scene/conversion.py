@@ -25,7 +25,7 @@ _WRITTEN_BY_CAROM = "promise"  # a section already in the units of the simulatio
 
 @dataclass
 class Wrong:
-    """A text that is not a quantity, in the place of one."""
+    """A text that stands where a quantity should be."""
 
     path: KeyPath
     given: str | None  # the given value; None if nothing was given
@@ -76,7 +76,7 @@ def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, l
     Returns
     -------
     data, units, wrong
-        The same keys with numbers of the simulation, its units, and the texts that are not quantities.
+        The scene in the units of the simulation, these units, and the texts that are not quantities.
     """
     wrong: list[Wrong] = []
     units = unit_system(data.get("units"), wrong)
@@ -94,7 +94,7 @@ def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, l
 
 
 def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wrong: list[Wrong]) -> Any:
-    """Convert a value and all values below it; values without a unit are returned unchanged."""
+    """Convert a value and all values below it; values without a dimension are returned unchanged."""
     kind = type(value)
     if at is None or kind is bool or (kind in _NUMBERS and not units.converts):
         return value
@@ -153,7 +153,7 @@ def rescaled(data: Mapping[str, Any], factor_of: Callable[[Dimension], float]) -
 
 
 def place(key: str) -> _Place | None:
-    """Return the values that a key of a scene and the keys below it may have; None if none is a quantity."""
+    """Return the values that a key of a scene and the keys below it may have; None if no value is a quantity."""
     return None if key == _WRITTEN_BY_CAROM else _places(SceneModel).get(key)
 
 

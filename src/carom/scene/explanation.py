@@ -34,7 +34,7 @@ OTHER_WORDS = {
     **dict.fromkeys(("bounce", "elasticity", "cor"), "contact.restitution"),
     **dict.fromkeys(("friction", "mu"), "contact.static_friction"),
     **dict.fromkeys(("viscosity", "tau"), "drag.relaxation_time"),
-    **dict.fromkeys(("acceleration", "field", "g"), "uniform"),  # of gravity
+    **dict.fromkeys(("acceleration", "field", "g"), "uniform"),  # keys of gravity
     "steps": "time.duration",
     "particles": "group",
     "diameter": "radius",
@@ -76,7 +76,7 @@ def hint(path: KeyPath) -> str:
 
 
 def _near(key: str, known: list[str], alike: float) -> str | None:
-    """Return the most similar known key, or the only known key that begins with this one."""
+    """Return the most similar known key, or the only known key that begins with ``key``."""
     similar = difflib.get_close_matches(key, known, n=1, cutoff=alike)
     longer = [name for name in known if len(key) >= SHORTEST and name.startswith(key)]
     return similar[0] if similar else longer[0] if len(longer) == 1 else None
@@ -143,7 +143,7 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
 
 
 def with_words(details: Sequence[Any]) -> Iterator[Any]:
-    """Yield one detail for each mistake; for a key that accepts words or numbers, it names both."""
+    """Yield one detail for each mistake; if a key accepts words or numbers, the detail names both."""
     words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
     numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
     members = {detail["loc"][:-1] for detail in details}
@@ -158,7 +158,7 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
 
 
 def written_path(detail: Any, data: Any) -> KeyPath:
-    """Return the path as the user wrote it: a radius given as a number has no `min`, and a vector has no `2`."""
+    """Return the path as the user wrote it: a radius that is a number has no `min`, and a vector has no `2`."""
     members = ("float", "nan", "literal")  # members of unions, which Pydantic adds to the path
     path: KeyPath = tuple(
         key
@@ -187,7 +187,7 @@ def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
     try:
         for key in path:
             node = node[key]
-    except (KeyError, IndexError, TypeError):  # the default depends on another key
+    except (KeyError, IndexError, TypeError):  # no value there: the default depends on another key
         return given
     return node if isinstance(node, str | int | float) else given
 
@@ -205,7 +205,8 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return f"must be at most {context['le']:g}"
         case "finite_number":
             return "must be a finite number"
-        case "float_type" if type(detail["input"]) is int:  # a whole number may have hundreds of digits
+        # a whole number that is too large may have hundreds of digits
+        case "float_type" if type(detail["input"]) is int:
             return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
             kinds = {"float": "a number", "int": "a whole number", "string": "text in quotes", "bool": "true or false"}
@@ -262,7 +263,7 @@ def _expected(path: KeyPath, units: UnitSystem) -> str:
     text, at = field.description, place_of(path)
     if at is not None and at.dimension is not None:
         unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
-        if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default in SI
+        if unit == at.dimension.unit and not re.search("[1-9]", rest):  # the description has a default in SI
             text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
     # the list itself, if the path ends with an index
     name = next(key for key in reversed(path) if isinstance(key, str))

@@ -11,7 +11,7 @@ from carom import registry
 from carom.scene.scene_model import SceneModel
 from carom.scene.wording import MOST_QUOTED, in_one_line
 
-PROPERTY = "extension."  # prefix of properties named kind.name, which hold a part's package and version
+PROPERTY = "extension."  # prefix of the properties with a part's package and version; kind.name follows
 
 
 def extensions_of(scene: SceneModel) -> dict[str, str]:
@@ -34,7 +34,7 @@ def stamped(properties: Mapping[str, Any]) -> dict[str, str]:
 
 
 def of_extensions(extensions: Mapping[str, str]) -> dict[str, str]:
-    """Return the version of each package, given packages with versions as in `extensions_of`."""
+    """Return the version of each package, given packages and versions as in `extensions_of`."""
     return {name: number for name, _, number in (package.rpartition(" ") for package in extensions.values())}
 
 
@@ -44,9 +44,9 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
 
 
 # A public version in its normal form (https://packaging.python.org/en/latest/specifications/version-specifiers/). The
-# text is a stranger's and becomes a command, so nothing else is repeated there. No index accepts a local version, such
-# as "1.0+mine".
-_NUMBER = "(?:0|[1-9][0-9]{0,8})"  # a date as a version (20240906) has 8 digits
+# text comes from a stranger and enters a command, so only such a version is repeated in the command. No index accepts a
+# local version, such as "1.0+mine".
+_NUMBER = "(?:0|[1-9][0-9]{0,8})"  # at most 9 digits, since a date as a version (20240906) has 8
 RELEASE = re.compile(
     rf"{_NUMBER}(?:\.{_NUMBER}){{0,4}}(?:(?:a|b|rc){_NUMBER})?(?:\.post{_NUMBER})?(?:\.dev{_NUMBER})?", re.ASCII
 )
@@ -57,7 +57,7 @@ def missing(extensions: Mapping[str, str]) -> str:
     """Return a sentence about the packages of missing parts of a recording; empty if none is missing.
 
     The names come from the file. Anybody can register a name with an index of packages. The sentence therefore says
-    that the names come from the recording, and its command contains them only if they are a valid package and version.
+    that the names come from the recording. Its command contains a package and version only if they are valid.
     """
     lost: dict[str, list[str]] = {}
     for key, package in extensions.items():

@@ -16,7 +16,7 @@ from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH, TIME
 from carom.scene.units.system import UnitSystem
 
 LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that a file may state
-_SAME_LAW = 1e-9  # relative difference due to the number of written digits
+_SAME_LAW = 1e-9  # relative difference that the number of written digits may cause
 
 
 def take_over_laws(
@@ -32,8 +32,8 @@ def take_over_laws(
     Returns
     -------
     taken, refuted
-        Plain numbers for keys of [gravity] that a file states and the scene does not; contradictions between a file and
-        the scene or another file, by the index of the file's [[bodies]] table.
+        Plain numbers for keys of [gravity] that a file states but the scene does not; and contradictions between a file
+        and the scene or another file, by the index of the file's [[bodies]] table.
     """
     is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
     taken, refuted = dict[str, float](), dict[int, str]()
@@ -116,7 +116,7 @@ def compare_facts(scene: SceneModel, units: UnitSystem, each_bodies: list[Source
         elif any(axis in box.periodic and not same for axis, same in zip("xyz", alike, strict=True)):
             mine = " × ".join(f"{units.shown(each, LENGTH):g}" for each in own)
             _add_notes(scene, index, each_bodies, [f"its periodic box is {shown}, and domain.size is {mine}"])
-        # bodies lie beyond the walls, since the program has its box elsewhere
+        # bodies lie beyond the walls if the program has its box elsewhere
         half = 0.5 * np.array(own)
         beyond: list[bool] = np.any(np.abs(bodies.columns.position) > half, axis=0).tolist()
         if any(beyond[axis] for axis in scene.domain.walled) and scene.bodies[index].origin is None:
@@ -142,5 +142,5 @@ def _add_notes(scene: SceneModel, index: int, each_bodies: list[SourcedBodies], 
 
 
 def _differs_in_ghosts(law: MotionLaw, facts: Facts) -> bool:
-    """Return whether bodies meet across the faces of the box in REBOUND only, or here only."""
+    """Return whether bodies meet across the faces of the box only in REBOUND, or only here."""
     return any(law.ghosts) if facts.box is None else not all(law.ghosts)

@@ -1,8 +1,8 @@
 """The forces: the conditions under which each is modelled, and the names of its recorded energies.
 
-`FORCES` lists carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts in scenes with
-a section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger entries of a
-recording, and the reports are derived from its `ForceKind`.
+`FORCES` lists carom's own forces. A force of an installed package is a `BodyForce` or a `PairForce`, which acts in
+scenes with a section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger entries of
+a recording, and the reports are derived from its `ForceKind`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, TI
 class ForceKind:
     """A force: the condition under which it is modelled, and the name of its energy."""
 
-    name: str  # name of the part of the model and, with underscores, of the module that computes the force
+    name: str  # name of the part of the model and, with underscores, of the force's module
     decide: Callable[[SceneModel], tuple[bool, str]]  # returns whether the force is modelled, and why
     potential: str = ""  # term of the energy, if the force has a potential
     loss: str = ""  # entry in the ledger, if the force has no potential
@@ -28,7 +28,8 @@ class ForceKind:
     meaning: str = ""  # meaning of the energy series, for docs/recording.md
     colour: str = ""  # colour of the energy series, a name in the palette of curves
     flag: str = ""  # key in the properties of a recording; by default `has_` and the short name
-    pushes: Callable[[SceneModel], bool] = lambda scene: False  # whether it accelerates all bodies at rest equally
+    # whether the force accelerates all bodies at rest equally
+    pushes: Callable[[SceneModel], bool] = lambda scene: False
     differs: bool = False  # whether the force accelerates bodies at rest differently, so that they may meet and press
     damps: bool = False  # whether the force depends on velocities, and is solved within the drift
     part: str = ""  # part of the model that the energy series requires; by default the force itself
@@ -113,13 +114,14 @@ DRAG = ForceKind(
     damps=True,
     contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
 )
-MOST_RELAXATIONS = 8.0  # largest dt/τ with drag in a step with exact impacts; e⁻⁸ of a velocity remains, with 12 digits
+# largest dt/τ of a step with drag and exact impacts; the fraction e⁻⁸ of a velocity remains, with 12 digits
+MOST_RELAXATIONS = 8.0
 FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # forces in the order in which their accelerations are added
 
 
 @cache
 def kind_called(name: str) -> ForceKind:
-    """Return the kind of a force by its name: one of carom's own, or of an installed package."""
+    """Return the kind of a force by its name: a force of carom or of an installed package."""
     own = next((kind for kind in FORCES if kind.name == name), None)
     if own is not None:
         return own

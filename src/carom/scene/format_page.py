@@ -24,7 +24,7 @@ from carom.scene.scene_model import know_installed_parts
 from carom.scene.units.dimension import Dimension
 from carom.scene.wall_shapes import shape_called
 
-FILE = "scene.schema.json"  # file name beside the bundled scenes, whose first lines refer to it
+FILE = "scene.schema.json"  # file beside the bundled scenes; the first lines of these refer to it
 MARK = "#:schema"  # prefix of the first line of a scene that names its schema
 
 
@@ -48,7 +48,7 @@ def _brief(node: Any) -> Any:
 
 
 def without_schema_line(text: str) -> str:
-    """Return the text of a scene without the line that names its schema, whose path is valid only in one folder."""
+    """Return the text of a scene without the line that names its schema: that path is valid in one folder only."""
     first, _, rest = text.partition("\n")
     return rest if first.startswith(MARK) else text
 
@@ -93,7 +93,7 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
 
 
 def _keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Return the keys of a section without the keys of extensions, which models get once a scene is read."""
+    """Return the keys of a section without the keys of extensions, which models get when a scene is read."""
     later = {*registry.names("contact_laws"), *registry.names("walls")}
     return [(key, info) for key, info in model.model_fields.items() if key not in later]
 

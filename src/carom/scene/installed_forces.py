@@ -19,20 +19,22 @@ def numbers_of(section: Any) -> Mapping[str, float]:
 class BodyForce:
     """A force on each body, which depends on the body's position.
 
-    The energy of such a force is that of its potential. Without a potential, the ledger has an entry for its work.
+    The energy of such a force is the energy of its potential. Without a potential, the ledger has an entry for the
+    force's work.
 
-    carom compiles both functions with Numba: they may use only sums, products, quotients and `math.sqrt` of numbers,
+    carom compiles both functions with Numba, so they may use only sums, products, quotients and `math.sqrt` of numbers,
     and call only functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
     """
 
     section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
     acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
     potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, for a body of 1 kg; otherwise work is booked
-    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # fields of p, from its section, in SI units
+    # returns the fields of p from the section, in SI units
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of
     legend: str = ""  # legend of the force's energy; by default its name
     meaning: str = ""  # meaning of the force's energy, for `carom inspect`
     colour: str = "orange"  # colour of the force's energy: one of `carom.recording.schema.palette.LINES`
-    periodic: bool = False  # whether the force may act in a periodic box: it is the same on opposite faces
+    periodic: bool = False  # whether the force may act in a periodic box, because it is the same on opposite faces
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +46,8 @@ class PairForce:
     """
 
     section: type[Any]  # in the scene, as for `BodyForce`
-    attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d, negative if it repels; d2 is the squared distance
-    potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, potential of the pair
+    attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d, negative for repulsion; d2 is the squared distance
+    potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, potential energy of the pair
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of
     legend: str = ""
     meaning: str = ""

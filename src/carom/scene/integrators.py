@@ -6,12 +6,12 @@ dt:
     v += a(x) before dt,    x += v drift dt,    v += a(x) after dt
 
 Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges kicks and
-drifts: on a Kepler orbit, its energy oscillates a quarter as much, but its forces belong to the middle of the step.
-Yoshida's fourth order consists of three leapfrog steps of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
-(Yoshida 1990, Phys. Lett. A 150, 262).
+drifts: on a Kepler orbit, the energy then oscillates only a quarter as much, but forces belong to the middle of the
+step. Yoshida's fourth order consists of three leapfrog steps of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 -
+2 w₁ (Yoshida 1990, Phys. Lett. A 150, 262).
 
-Installed packages may add such sequences. Two integrators are not such sequences: Gauss–Radau integration chooses its
-step by its error, Wisdom–Holman integration by the shortest orbit (`carom.physics.integrators.gauss_radau`,
+Installed packages may add sequences of substeps. Two integrators are no such sequences: Gauss–Radau integration chooses
+its step by its error, Wisdom–Holman integration by the shortest orbit (`carom.physics.integrators.gauss_radau`,
 `carom.physics.integrators.wisdom_holman`).
 """
 
@@ -37,15 +37,15 @@ class Substep(NamedTuple):
 class Integrator:
     """An integrator of the motion between contacts."""
 
-    name: str  # the value of time.integrator
-    title: str  # in descriptions
+    name: str  # value of `time.integrator`
+    title: str  # name in descriptions
     order: int  # order in dt of the error after a fixed time
     substeps: tuple[Substep, ...]  # parts of a step; empty if the integrator chooses its own steps
     hierarchical: bool = False  # whether the integrator needs a body that dominates all others
 
     @property
     def controls_error(self) -> bool:
-        """Whether the integrator chooses its own steps, regardless of the scene's limits."""
+        """Whether the integrator chooses its steps by its own error or orbits, whatever the scene's limits."""
         return not self.substeps
 
     @property
@@ -80,7 +80,7 @@ class Integrator:
 
     @property
     def damps(self) -> bool:
-        """Whether drag is supported, which requires one drift between two equal kicks (docs/physics.md, 6)."""
+        """Whether drag is supported, which requires a single drift between two equal kicks (docs/physics.md, 6)."""
         return self.drifts_once and self.substeps[0].before == self.substeps[0].after
 
     @property
@@ -92,11 +92,11 @@ class Integrator:
     def force_sums(self) -> int:
         """Number of force evaluations per step; a lower bound if the number of iterations depends on the error."""
         if self.controls_error:
-            return 1 if self.hierarchical else 8  # nodes of Gauss–Radau
+            return 1 if self.hierarchical else 8  # 8 is the number of nodes of Gauss–Radau integration
         return len(self.substeps) - (not self.ends_with_forces)
 
 
-ENCOUNTERS_BY = "gauss-radau15"  # the integrator that takes over from hierarchical ones in close encounters
+ENCOUNTERS_BY = "gauss-radau15"  # integrator that takes over from hierarchical integrators in close encounters
 _W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
 _W0 = 1.0 - 2.0 * _W1
 
@@ -119,12 +119,12 @@ INTEGRATORS = {
 
 
 def integrator_called(name: str) -> Integrator:
-    """Return an integrator by its name: one of carom's own, or a sequence of substeps of an installed package.
+    """Return an integrator by its name: an integrator of carom, or a sequence of substeps of an installed package.
 
     Raises
     ------
     ExtensionError
-        If there is none of that name, or it cannot be used.
+        If there is no integrator of that name, or it cannot be used.
     """
     own = INTEGRATORS.get(name)
     if own is not None:

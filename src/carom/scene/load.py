@@ -51,9 +51,9 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wall_shapes import CONTENT, shape_called
 from carom.scene.wording import suggestion
 
-_LARGEST_BESIDES_BODIES = 4_000_000  # characters
+_LARGEST_BESIDES_BODIES = 4_000_000  # most characters of a scene, in addition to its bodies
 _LARGEST_BODY = 1000  # most characters of a [[body]] with all its keys, a long name and comments
-_COMMENTED = 200_000  # most characters of a text whose comments overrides keep, which takes a second
+_COMMENTED = 200_000  # most characters of a text whose comments survive overrides; keeping them takes a second
 MOST_MESSAGES = 8
 _MOST_DETAILS = 1000  # most mistakes that are examined; a hostile text may contain a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
@@ -109,11 +109,11 @@ class Scene(SceneModel):
         position
             (n, 3) m.
         radius, mass, density, inertia, fixed
-            m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor rotates; (n,), or one value
-            for all. A mass or a density is needed, or a material that defines one. Without ``inertia``, bodies are
-            solid spheres, unless their material defines another factor.
+            In m, kg, kg/m³, kg m², or in the given ``units``; ``fixed``: whether a body neither moves nor rotates.
+            (n,), or one value for all. A mass or a density is needed, or a material that defines one. Without
+            ``inertia``, bodies are solid spheres, unless their material defines another factor.
         velocity, angular_velocity
-            m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
+            In m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
         name
             n names, or one name to which each body adds its number.
         made_of
@@ -142,7 +142,7 @@ class Scene(SceneModel):
         Parameters
         ----------
         keep
-            Whether the scene's own bodies and groups stay in addition to the new ones.
+            Whether the scene keeps its own bodies and groups in addition to the new bodies.
         arrays
             ``position``, ``radius`` and so on.
         """
@@ -150,7 +150,7 @@ class Scene(SceneModel):
 
     def changed(self, overrides: list[str]) -> Scene:
         """Return this scene with changed keys, in the syntax of ``--set``; raises `SceneError` like `load`."""
-        if isinstance(overrides, str | Mapping):  # a text would be read letter by letter, and a mapping key by key
+        if isinstance(overrides, str | Mapping):  # iteration would give the letters of a text, or the keys of a mapping
             raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
         return scene_from_text(self.toml, self.title, overrides, self._held)
 
@@ -213,7 +213,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
         raise SceneError(f"{source}:{line}: a key of more than {DEEPEST} parts")
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # not a TOMLDecodeError: Python refuses numbers of thousands of digits
+    except ValueError as error:  # not a TOMLDecodeError, since Python refuses numbers of thousands of digits
         digits = re.search(r"\d{4301}", text) if "digits" in str(error) else None
         if digits:
             line = text.count("\n", 0, digits.start()) + 1
@@ -261,7 +261,7 @@ def _meant_value(before: str, after: str) -> str:
 
 
 def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> Scene:
-    """Build a scene from a plain dictionary; errors name the key. ``bodies`` as for `scene_from_text`."""
+    """Build a scene from a plain dictionary; errors name the key. for ``bodies`` see `scene_from_text`."""
     if is_too_deep(data):
         raise SceneError(f"not a scene: {_TOO_DEEP}")
     try:
@@ -332,7 +332,7 @@ def _folder_of(source: BodySource | None) -> Path | None:
 def _with_contents(
     data: dict[str, Any], text: str, places: KeyPlaces, folder: Path | None
 ) -> tuple[dict[str, Any], str]:
-    """Read the files of walls; return the scene's keys and its text with their contents."""
+    """Read the files of walls; return the scene's keys and its text with the contents of the files."""
     found, wrong = dict[tuple[int, str], str](), list[Callable[[], str]]()
     walls = data.get("wall")
     for index, wall in enumerate(walls if isinstance(walls, list) else ()):
@@ -358,7 +358,7 @@ def _with_contents(
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
-    """Refuse a scene, with a line for each of the first mistakes; ``more`` is the number of mistakes without one."""
+    """Refuse a scene, with a line for each of the first mistakes; ``more`` is the number of other mistakes."""
     more += len(messages) - MOST_MESSAGES
     if messages:
         shown = [message() for message in messages[:MOST_MESSAGES]]
@@ -457,7 +457,7 @@ def _scene(
     material: Material | None
     try:
         material = next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
-    except (KeyError, TypeError, ValueError):  # mistakes in materials are reported then, too
+    except (KeyError, TypeError, ValueError):  # mistakes in materials are also reported at that time
         material = None
     columns = columns_of_arrays(arrays, name, material, units)
     prefix = {"name": name} if isinstance(name, str) else {}

@@ -22,7 +22,7 @@ from carom.scene.schema.body import Matter
 from carom.scene.schema.contact import DEFAULT, Surface, combined
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
-SAMPLE = 4096  # sampled radii; the mean volume of uniform radii up to r is then known to 2 %
+SAMPLE = 4096  # number of sampled radii; the mean volume of uniform radii up to r is then known to 2 %
 
 
 def body_mass(body: Body) -> float:
@@ -83,8 +83,8 @@ class PairCoefficients:
     """Coefficients of the contacts between n bodies, which have ``a`` materials, and with p planes and walls.
 
     If all bodies have one material, there is one row for contacts between bodies, and one for each plane. Otherwise
-    each material has a + p rows: one for contacts with each material, and one for each plane. The contact of body i
-    with body j > i, or with plane j - n, has the row ``places[i, 0] + places[j, 1]``.
+    each material has a + p rows: one for contacts with each material, and one for each plane. For the contact of body i
+    with body j > i, or with plane j - n, the row is ``places[i, 0] + places[j, 1]``.
     """
 
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
@@ -93,7 +93,8 @@ class PairCoefficients:
     places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     laws: tuple[str, ...] = ()  # names of the contact laws other than Coulomb's
     names: tuple[str, ...] = ()  # names of the laws' further coefficients
-    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (rows, k) their values
+    # (rows, k) values of the further coefficients
+    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def of(self, i: int, j: int) -> Coefficients:
         """Return the coefficients of the contact of body i with body j > i, or with plane j - n."""
@@ -209,8 +210,8 @@ def _names(scene: SceneModel) -> list[str]:
 def _of_law(scene: SceneModel, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
     """Return the further coefficients of the contact laws for two materials.
 
-    ``plane`` may have its own coefficients. A coefficient missing from the section of a material, a pair or a plane
-    keeps the value that it has without that section.
+    ``plane`` may have its own coefficients. If the section of a material, a pair or a plane lacks a coefficient, the
+    coefficient keeps the value that it would have without the section.
     """
     pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
     coefficients: dict[str, float] = {}
@@ -225,7 +226,7 @@ def _of_law(scene: SceneModel, one: str, other: str, plane: Surface | None = Non
 
 
 def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str, float]:
-    """Return the coefficients of a law; coefficients that a surface states take precedence."""
+    """Return the coefficients of a law; coefficients of ``surface`` take precedence."""
     own = None if surface is None else getattr(surface, law)
     if own is None:
         return dict(numbers)

@@ -37,9 +37,10 @@ def old_names(
 
 
 def apply_overrides(document: Any, before: dict[str, Any], overrides: Sequence[str]) -> dict[KeyPath, str]:
-    """Set keys of a document, keeping its comments, given its data before; return the overrides by their keys.
+    """Set keys of a document, keeping its comments, given the data ``before``; return the overrides by their keys.
 
-    Raises SceneError if an override is not a key and value, or two set one key by its old and new name.
+    Raises SceneError if an override is not a key and a value, or if two overrides set a key by its old and its new
+    name.
     """
     overridden: dict[KeyPath, str] = {}
     for override in overrides:
@@ -99,7 +100,7 @@ def _key_path(override: str) -> KeyPath:
 
 
 def _forget_file(document: Any, path: KeyPath) -> None:
-    """Remove what is known of the previous file if an override names another file of bodies or of a wall."""
+    """Remove the data of the previous file if an override names another file of bodies or of a wall."""
     if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot", "snapshot_time"):
         for key in ("count", *(("sha256",) if path[2] == "file" else ())):
             document["bodies"][path[1]].pop(key, None)
@@ -108,7 +109,7 @@ def _forget_file(document: Any, path: KeyPath) -> None:
 
 
 def _keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
-    """If an override changes the duration, store the original one, to which promises about the end refer."""
+    """If an override changes the duration, store the original duration, to which promises about the end refer."""
     expect, duration = before.get("expect"), _duration(before)
     if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
         return

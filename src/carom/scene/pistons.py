@@ -1,4 +1,4 @@
-"""The pistons of a scene: which planes they are, and the faces on which their pressures act."""
+"""The pistons of a scene: their planes, and the faces on which their pressures act."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ AXES = "xyz"
 
 
 class Enclosed(Protocol):
-    """What encloses the bodies of a scene."""
+    """The planes and the space that enclose the bodies of a scene."""
 
     @property
     def plane(self) -> tuple[SolidPlane, ...]:
@@ -22,7 +22,7 @@ class Enclosed(Protocol):
 
     @property
     def domain(self) -> Domain:
-        """The space."""
+        """The domain."""
         ...
 
 
@@ -30,7 +30,7 @@ class Side(NamedTuple):
     """A side of the face on which a pressure acts."""
 
     length: float  # m, at the start
-    pistons: tuple[int, ...]  # numbers of the planes that shorten it as they move along their normals
+    pistons: tuple[int, ...]  # numbers of the planes that shorten the side as they move along their normals
 
 
 def pistons_of(scene: Enclosed) -> dict[int, Piston]:
@@ -41,8 +41,8 @@ def pistons_of(scene: Enclosed) -> dict[int, Piston]:
 def sides_of_face(scene: Enclosed, number: int) -> tuple[Side, Side]:
     """Return the two sides of the face on which the pressure of a piston acts.
 
-    Where pistons move along an axis, a side reaches from plane to plane, elsewhere over `domain.size`. Raises
-    SectionError if one of the two is missing.
+    Along an axis on which pistons move, a side reaches from plane to plane; along other axes, its length is
+    `domain.size`. Raises SectionError if this plane or size is missing.
     """
     own = _axis_of(scene, number)
     if own is None:

@@ -10,8 +10,9 @@ import numpy as np
 
 from carom.arrays import FloatArray
 
-ENDLESS = 2.0**1000  # m, the period of an axis that does not repeat: the nearest image of a point is the point itself
-NEWTON_STEPS = 6  # steps that reduce an error of a third of an octave to the last bit
+# m, period of an axis that is not periodic, so large that the nearest image of a point is the point itself
+ENDLESS = 2.0**1000
+NEWTON_STEPS = 6  # number of steps that reduce an error of a third of an octave to the last bit
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 as a sum of two parts, from fdlibm
 # fdlibm's minimax polynomials (Sun Microsystems, 1993): ln(1 + f) in s² = (f / (2 + f))², and eˣ in x²
 LOG = (
@@ -75,7 +76,7 @@ def exponential(x: FloatArray) -> FloatArray:
 
 def cosine_and_sine(degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the cosine and the sine of an angle in degrees."""
-    angle = np.fmod(degrees, 360.0)  # exact, like its difference from a multiple of 90°
+    angle = np.fmod(degrees, 360.0)  # this is exact, like the difference from a multiple of 90°
     quarter = np.rint(angle / 90.0)
     x = (angle - 90.0 * quarter) * (np.pi / 180.0)
     square = x * x

@@ -1,8 +1,8 @@
-"""Scene files: the bundled scenes, the path for a name, the text of a file or a pipe, and TOML text of a scene.
+"""Scene files: the bundled scenes, paths by name, the text of a file or a pipe, and scenes as TOML text.
 
 `KeyPlaces` are the places of keys in the text, for messages. No known TOML library keeps the line of a key, so
-`lines_of` scans the text again, line by line. For keys in other forms, such as multi-line inline tables, it returns the
-line of their section.
+`lines_of` scans the text again, line by line. For keys in unusual forms, such as multi-line inline tables, `lines_of`
+returns the line of their section.
 """
 
 from __future__ import annotations
@@ -111,14 +111,14 @@ def read_text(path: Path) -> str:
         listed = ", ".join(f"`{command(name, path)}` {use}" for name, use in uses.items())
         raise SceneError(f"{path}: a recording, not a scene; {listed}")
     try:
-        return text.decode("utf-8-sig")  # some editors begin a file with a byte order mark
+        return text.decode("utf-8-sig")  # some editors write a byte order mark at the beginning of a file
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
 
 
 def _read_bytes(path: Path) -> bytes:
     """Read a regular file or a pipe once, up to `LARGEST_FILE` bytes."""
-    # otherwise a pipe without a writer would block
+    # without this flag, a pipe without a writer would block
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb", buffering=0) as file:
         kind = os.fstat(descriptor)
@@ -153,7 +153,7 @@ def toml_text(data: Mapping[str, Any]) -> str:
     TypeError
         If a value has a type that scenes do not have.
     UnicodeEncodeError
-        If a text has half of a character, a lone surrogate.
+        If a text has half of a character (a lone surrogate).
     """
 
     def is_section(value: Any) -> bool:
@@ -184,7 +184,7 @@ def value_text(value: Any) -> str:
     if isinstance(value, int):
         return int.__repr__(value)
     if isinstance(value, float):
-        return float.__repr__(value)  # also serves subclasses of float, such as NumPy's
+        return float.__repr__(value)  # also for subclasses of float, such as NumPy's
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {value_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -198,7 +198,8 @@ def _string(text: str) -> str:
     return escaped(json.dumps(text, ensure_ascii=False))
 
 
-_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # numbers that people write, but not in TOML
+# numbers in a form that people write, but that TOML lacks
+_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")
 
 
 def parse_value(text: str) -> Any:
@@ -216,7 +217,7 @@ _KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*
 
 
 def lines_of(text: str) -> dict[KeyPath, int]:
-    """Return the 1-based line of the first occurrence of each key and each section."""
+    """Return the line (from 1) of the first occurrence of each key and each section."""
     lines: dict[KeyPath, int] = {}
     section: KeyPath = ()
     seen: Counter[KeyPath] = Counter()
@@ -227,7 +228,7 @@ def lines_of(text: str) -> dict[KeyPath, int]:
             section = (*_indexed(above, seen), last)
             if header[1] == "[[":
                 seen[section] += 1
-                lines.setdefault(section, number)  # a section written as a list of sections
+                lines.setdefault(section, number)  # a section that is written as a list of sections
             section = written = _indexed([*above, last], seen)
         elif key:
             written = (*section, *_split(key[1]))
@@ -292,7 +293,7 @@ _LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[
 
 
 def line_of_long_key(text: str) -> int | None:
-    """Return the 1-based line of a dotted key of more than `DEEPEST` parts, or None."""
+    """Return the line (from 1) of a dotted key with more than `DEEPEST` parts; None if there is none."""
     long_key = _LONG_KEY.search(text)
     return text.count("\n", 0, long_key.start()) + 1 if long_key else None
 

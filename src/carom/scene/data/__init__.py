@@ -18,17 +18,18 @@ from carom.errors import SceneError
 from carom.scene.data.facts import Facts
 from carom.scene.wording import suggestion
 
-MOST_ROWS = 50_000_000  # most rows; a run takes 1 kB per body
+MOST_ROWS = 50_000_000  # most rows; a run needs 1 kB per body
 MOST_BYTES = 100 * MOST_ROWS  # most bytes of a column as an array
 MOST_COLUMNS = 10_000
 ROOMY = 250_000_000  # bytes to which the columns of any file may decompress
 NUMBER = 8  # bytes of a number in memory
 MOST_TIMES = 12  # largest ratio of the decompressed size to the file's size; distinct positions hardly compress
-FREE_ROWS = 2_000_000  # rows allowed in any file; a body takes 170 bytes until it is placed, and up to 210 from a text
+# rows that any file may have; a body takes 170 bytes until it is placed, or up to 210 if it comes from a text
+FREE_ROWS = 2_000_000
 LEAST_ROW = 10  # bytes of the file for each further body; three coordinates in single precision take 12
 
-_FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
-_LONGEST_NUMBER = 60  # characters
+_FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 if the exponent has three digits
+_LONGEST_NUMBER = 60  # most characters of a number
 _EXACT = 2**53  # floats represent whole numbers below this exactly
 
 Raw = NDArray[Any]  # (n,) or (n, 3), with an axis of steps first if there are several
@@ -48,8 +49,8 @@ class MotionLaw(NamedTuple):
 class DataTable:
     """The columns of a file; only requested columns are read."""
 
-    called: str  # its name in messages
-    names: Sequence[str]  # names of its columns
+    called: str  # name of the file in messages
+    names: Sequence[str]  # names of the columns
     hidden: Sequence[str] = ()  # names of further columns, which are read only if the scene names them
     unnamed: int = 0  # number of columns if they have no names
     paths: bool = False  # whether names are paths of HDF5, which end with the name of the column
@@ -95,7 +96,7 @@ class Arrays(DataTable):
 
 
 def refuse_many_rows(called: str, rows: int, stored: int) -> None:
-    """Refuse a table of a file of ``stored`` bytes before memory is allocated for it."""
+    """Refuse a table in a file of ``stored`` bytes before memory is allocated for the table."""
     if rows > MOST_ROWS:
         raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
     if rows > max(FREE_ROWS, stored // LEAST_ROW):
@@ -152,7 +153,7 @@ def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> F
 
 
 def number_in(value: Any) -> float | None:
-    """Return a value as a number, also in Fortran's form (1.0D-01); None if it is not a number."""
+    """Return a value as a number, even in Fortran's form (1.0D-01); None if it is not a number."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -186,7 +187,7 @@ def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
 
 
 def texts_of(raw: Raw) -> list[str]:
-    """Return a column as texts; missing ones are empty."""
+    """Return a column as texts; missing texts are empty."""
     return [_text(value).strip() for value in raw.tolist()]
 
 
@@ -216,10 +217,10 @@ def open_table(
 ) -> DataTable:
     """Open a data file, whose suffix names its format.
 
-    The snapshot is the one with the index ``snapshot`` or, with ``time``, the nearest to that time in the units of the
-    scene. ``called`` is the name of the file in messages, and ``header`` has the names of all columns of a text file,
-    if the scene gives them. Raises SceneError if the format is unknown, its package is missing, or the file is not of
-    this format.
+    The snapshot has the index ``snapshot``; with ``time``, in the units of the scene, it is the nearest snapshot.
+    ``called`` is the name of the file in messages, and ``header`` has the names of all columns of a text file, if the
+    scene states them. Raises SceneError if the format is unknown, its package is missing, or the file is not of this
+    format.
     """
     ending = path.suffix.lower()
     known = [f".{name}" for name in registry.names("data_formats")]
@@ -228,7 +229,8 @@ def open_table(
         raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {remedy}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        if time is not None and form.times is not None:  # without a time, a column of the table may hold times
+        # only if a time is requested, since otherwise a column of the table may hold times
+        if time is not None and form.times is not None:
             times = np.asarray(form.times(path, called), dtype=np.float64)
             rounding = _ROUNDED * float(np.abs(times).max())
             if not times.min() - rounding <= time <= times.max() + rounding:
@@ -267,7 +269,7 @@ class _Guarded(DataTable):
 
 @contextlib.contextmanager
 def _reading(called: str, form: DataFormat) -> Iterator[None]:
-    """Convert an exception of a library, such as one about a damaged file, to one sentence."""
+    """Convert an exception of a library, for example about a damaged file, to one sentence."""
     try:
         yield
     except SceneError:

@@ -1,7 +1,7 @@
 """Binary files of arrays: HDF5, NumPy's .npz, and GSD of HOOMD-blue.
 
-The packages h5py and gsd read them. A scene names a dataset of HDF5 by its name or its full path; snapshots of Gadget
-and sets of AMUSE are recognised. Pickled objects in an .npz are refused.
+The packages h5py and gsd read HDF5 and GSD. A scene names a dataset of HDF5 by its name or its full path; snapshots of
+Gadget and sets of AMUSE are recognised. Pickled objects in an .npz are refused.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ _LONGEST_PATH = 1000  # most characters of a path; HDF5's time grows as the squa
 _HEADER = "Header"  # name of a group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
-_UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS")  # attributes of AMUSE, unyt, pint, PyTables, and of H5MD
+# attributes that state units in files of AMUSE, unyt, pint, PyTables and H5MD
+_UNIT_KEYS = ("units", "unit", "Units", "Unit", "UNITS")
 _OF_AMUSE = {"length": "m", "time": "s", "mass": "kg"}  # base units in texts of AMUSE's files
 _OF_AMUSE_SET = re.compile(r"particles/\d{10}/")
 _OF_UNITS = ("Parameters", "Units")  # groups in which Gadget-4 and SWIFT state units
@@ -50,9 +51,9 @@ _SIZES = {  # key of [units] → unit, and attributes of Gadget and AREPO, GIZMO
     "velocity": ("cm/s", ("UnitVelocity_in_cm_per_s", "UnitVelocity_In_CGS")),
     "time": ("s", ("Unit time in cgs (U_t)",)),
 }
-_OF_GAS = ("Density",)  # columns about the gas around a particle, not about a sphere
+_OF_GAS = ("Density",)  # columns that describe the gas around a particle, not a sphere
 _SUFFIX = ".npy"
-_LARGEST_HEADER = 10_000  # characters
+_LARGEST_HEADER = 10_000  # most characters of a header
 
 
 def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
@@ -68,11 +69,11 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
             visited[0] += 1
             if visited[0] > _MOST_NODES or len(name) > _LONGEST_PATH:
                 raise SceneError(f"{called}: more than {_MOST_NODES} groups and datasets, or paths too long to be read")
-            if isinstance(name, str) and isinstance(node, h5py.Dataset) and node.ndim:  # bytes: not UTF-8
+            if isinstance(name, str) and isinstance(node, h5py.Dataset) and node.ndim:  # a name in bytes is not UTF-8
                 names.append(name)
             return True if len(names) > _MOST_DATASETS else None
 
-        file.visititems(add)  # ignores links, which could lead out of the file
+        file.visititems(add)  # this ignores links, which could lead out of the file
         of_columns, vectors = dict[str, str](), list[str]()
         for name in names:
             shape, attributes = file[name].shape, file[name].attrs
@@ -120,7 +121,7 @@ class _Datasets(_NamedArrays):
     paths = True
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read datasets, whose shapes are checked before memory is allocated."""
+        """Read datasets; their shapes are checked before memory is allocated."""
         import h5py  # noqa: PLC0415 - an extra
 
         with h5py.File(self._path, "r") as file:
@@ -200,7 +201,7 @@ class _Snapshot(_Datasets):
         self.notes = tuple(notes)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read datasets, and columns that join all types."""
+        """Read datasets, and columns that join the particles of all types."""
         paths = [name for name in names if "/" in name]
         columns = [name for name in names if "/" not in name]
         parts = [
@@ -268,7 +269,7 @@ class _Archive(_NamedArrays):
     """Arrays of an archive."""
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read arrays, whose headers are checked before memory is allocated."""
+        """Read arrays; their headers are checked before memory is allocated."""
         with zipfile.ZipFile(self._path) as archive:
             claimed = sum(archive.getinfo(name + _SUFFIX).file_size for name in names)
             refuse_bomb(self.called, claimed, self._path.stat().st_size)
@@ -298,8 +299,8 @@ _CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia
 def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a GSD file at one of its frames.
 
-    HOOMD omits data that equal the data of the first frame, and default masses and diameters of 1, which the scene must
-    state.
+    HOOMD omits data that equal the data of the first frame, and masses and diameters of 1, which are its defaults; a
+    scene must state these.
     """
     try:
         from gsd import fl  # noqa: PLC0415 - an extra
@@ -319,7 +320,8 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
         if count is None:
             raise SceneError(f"{called}: frame {frame} has no particles")
         refuse_many_rows(called, int(count[0]), path.stat().st_size)
-        # data that a frame omits equal the first frame's, or have their default where the numbers of particles differ
+        # data that a frame omits equal the data of the first frame, or have their default if the numbers of particles
+        # differ
         first = chunk("particles/N", (0,))
         known = (frame, 0) if first is not None and int(first[0]) == int(count[0]) else (frame,)
         arrays: dict[str, Raw] = {

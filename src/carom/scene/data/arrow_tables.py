@@ -44,9 +44,10 @@ _SIGNS = {
 _UNIT_KEYS = (b"unit", b"units")  # keys of units in the metadata of a field
 _PARQUET_END = 8  # bytes at the end of a file: the length of the footer, and a mark
 _FOOTER_HEAD = 32  # first bytes of a footer; they contain the number of its elements
-_FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)  # with 15 or more elements
+# head of a footer whose list has 15 or more elements
+_FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)
 _BLOCK = 1 << 20  # bytes of a file that are read at a time
-_ELEMENTS = 4  # most elements of a schema per column; a list has three
+_ELEMENTS = 4  # most elements of a schema for each column; a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
@@ -67,7 +68,8 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
     refuse_many_columns(called, _columns_of_parquet(path), _ELEMENTS)
     stored, schema = path.stat().st_size, pq.read_schema(path, memory_map=True)
     texts = [each.name for each in schema if pa.types.is_string(each.type) or pa.types.is_large_string(each.type)]
-    file = pq.ParquetFile(path, memory_map=True, read_dictionary=texts)  # a text that many rows repeat is stored once
+    # with dictionaries, a text that many rows repeat is stored once
+    file = pq.ParquetFile(path, memory_map=True, read_dictionary=texts)
     refuse_many_rows(called, file.metadata.num_rows, stored)
 
     def read(wanted: list[str], _: Sequence[str]) -> pa.Table:
@@ -122,7 +124,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
                 header = claims(message.metadata.to_pybytes(), message.type == "dictionary")
                 claimed += unpacked_bytes(header, memoryview(message.body))
                 refuse_bomb(called, claimed, stored)
-        source.seek(_STREAM_IN_FILE if file else 0)  # a footer could refer to other batches
+        source.seek(_STREAM_IN_FILE if file else 0)  # the footer is not used, since it could refer to other batches
         reader = pyarrow.ipc.open_stream(source)
         batches, rows = list[pa.RecordBatch](), 0
         for batch in reader:
@@ -162,7 +164,7 @@ def _unit_of(column: pa.Field) -> str:
 
 
 def _lines_in(path: Path) -> int:
-    """Return the number of lines of a file, or more where a quoted value has several."""
+    """Return the number of lines of a file, or more if a quoted value has several lines."""
     with path.open("rb") as file:
         counts = [(block.count(b"\n"), block.count(b"\r")) for block in iter(lambda: file.read(_BLOCK), b"")]
     return max(map(sum, zip(*counts, strict=True)), default=0)
@@ -243,18 +245,18 @@ class _TextTable(_ArrowTable):
         skipped, separator = (self._dialect.skipped, self._dialect.separator) if rows is None else (0, ",")
         options = pyarrow.csv.ReadOptions(column_names=self.names, skip_rows=skipped)
         parse = pyarrow.csv.ParseOptions(delimiter=separator)
-        # reads columns as bytes: otherwise 007 would become a number, and null a missing value
+        # columns are read as bytes; otherwise 007 would become a number, and null a missing value
         kinds = dict.fromkeys(texts, pa.binary())
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         try:
             table = pyarrow.csv.read_csv(source, options, parse_options=parse, convert_options=convert)
         except pa.ArrowInvalid:
-            if rows is None:  # names the first line with another number of values
+            if rows is None:  # reports the first line with another number of values
                 with self._path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
                     rewritten(TextLines(file), self._dialect, False, skipped, self.called)
             raise
         for text in texts:
-            # 5.0 in a column of whole numbers means 5: pandas writes floats if a value is missing
+            # 5.0 in a column of whole numbers means 5, since pandas writes floats if a value is missing
             column = table[text]
             if pc.all(pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")).as_py():
                 column = pc.replace_substring_regex(column, r"\.0$", "")

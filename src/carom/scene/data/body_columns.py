@@ -95,7 +95,7 @@ class BodyColumns:
 
     @cached_property
     def common_velocity(self) -> tuple[float, ...] | None:
-        """The velocity in m/s if all bodies have the same; otherwise None."""
+        """The velocity (m/s) if all bodies have the same velocity; otherwise None."""
         first = self.velocity[0]
         return tuple(first.tolist()) if np.all(self.velocity == first) else None
 
@@ -112,7 +112,7 @@ class BodyColumns:
 
 
 _POSITIVE = ("density", "radius", "diameter")
-_NOT_NEGATIVE = ("mass", "inertia")  # both are 0 for a test particle
+_NOT_NEGATIVE = ("mass", "inertia")  # quantities that may be 0, as for a test particle
 _SIZES = ("radius", "diameter", "density")  # quantities for which 0 is a missing value
 _SAME_DISTANCE = 0.02  # relative difference of distances from the Sun and from the barycentre
 
@@ -149,7 +149,7 @@ def read_columns(
     if table.law is not None:
         refuse_other_units(table.called, table.facts, units, (d for each in mapping for d in DIMENSIONS.get(each, ())))
     steps = steps_in(columns_there)
-    if orbits is not None:  # computed from the masses
+    if orbits is not None:  # orbits are computed from the masses
         del mapping["position"], mapping["velocity"]
     wanted = dict.fromkeys([*(column.name for columns in mapping.values() for column in columns), *steps.names])
     raw = table.read(list(wanted), texts=[column.name for column in mapping.get("name", ())])
@@ -203,7 +203,7 @@ def read_columns(
 
 
 class _Reader:
-    """Converts the columns of each quantity; values in the scene replace columns."""
+    """Converts the columns of each quantity; values that the scene states replace columns."""
 
     def __init__(
         self,
@@ -236,13 +236,13 @@ class _Reader:
                 raise SceneError(f"{table.called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
         self.kept = np.arange(self._rows)  # indices of the rows of the file that are read
         if any(raw[name].ndim > dimensions for name, dimensions in own.items()):
-            steps = Steps([], [])  # each array has its steps
+            steps = Steps([], [])  # each array has its own axis of steps
         mask, note, self.choosing = rows_of_step(section, table, steps, raw, self._rows, units)
         self.notes = [note] if note else []
         if mask is not None:
             self._keep(mask)
         if section.missing is not None and section.missing.leave_out and "position" in mapping:
-            # leaves out rows without a position
+            # rows without a position are left out
             there = np.ones(self._rows, dtype=np.bool_)
             for column in self._mapping["position"]:
                 gaps = np.isnan(numbers_of(self._called, column.name, self._raw[column.name], with_gaps=True))
@@ -259,7 +259,7 @@ class _Reader:
         self._rows = len(self.kept)
 
     def row(self, place: int) -> int:
-        """Return the row of the file from which a body comes."""
+        """Return the file's row of a body."""
         return int(self.kept[place])
 
     def vectors(self, quantity: str) -> FloatArray:
@@ -337,7 +337,7 @@ class _Reader:
         return column_factor(self._called, column, self._facts, quantity, DIMENSIONS[quantity], self._units)
 
     def _step(self, quantity: str, name: str, array: Raw, dimensions: int, axis: int) -> Raw:
-        """Return a column or, if it has several steps, its chosen step; check the shape."""
+        """Return a column, or the chosen step of a column with several steps; check the shape."""
         if array.ndim == dimensions + 1:
             array = array.take(step_at(self._called, self._section.snapshot, array.shape[axis], whose=name), axis)
         if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 3):
@@ -347,7 +347,7 @@ class _Reader:
 
     def _numbers(self, quantity: str, place: int = 0) -> FloatArray:
         missing, key = self._section.missing, "radius" if quantity == "diameter" else quantity
-        stands = getattr(missing, key, None)  # replaces missing values
+        stands = getattr(missing, key, None)  # value that replaces missing values
         column = self._mapping[quantity][place].name
         given = numbers_of(self._called, column, self._raw[column], with_gaps=stands is not None)
         factor = self.factor(quantity, place)
@@ -383,7 +383,7 @@ class _Reader:
 def columns_of_arrays(
     arrays: Mapping[str, Any], name: str | ArrayLike | None, material: Material | None, units: UnitSystem
 ) -> BodyColumns:
-    """Return the bodies that a Python program gives as arrays; see `Scene.from_arrays`."""
+    """Return the bodies that a Python program passes as arrays; see `Scene.from_arrays`."""
     given = {quantity: value for quantity, value in arrays.items() if value is not None}
     if "position" not in given or "radius" not in given:
         raise SceneError("arrays of bodies need a position and a radius")
@@ -412,5 +412,5 @@ def _row_for_each_body(quantity: str, value: ArrayLike, bodies: int) -> NDArray[
         if array.shape != shape and (array.shape != shape[1:] or quantity == "position"):
             raise ValueError(f"an array of the shape {array.shape}")
         return np.broadcast_to(array, shape)
-    except ValueError as error:  # rows of different lengths
+    except ValueError as error:  # the rows have different lengths
         raise SceneError(f"{quantity}: {error}; {bodies} bodies need the shape {shape}") from None

@@ -20,7 +20,7 @@ from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-LARGEST_DATA = 10**11  # most bytes of a file; its digest then takes a minute
+LARGEST_DATA = 10**11  # most bytes of a file; computing the digest of so many bytes takes a minute
 
 
 class SourcedBodies(NamedTuple):
@@ -44,7 +44,7 @@ class Wanted:
     first: int  # number of the table's first body in the scene
     row: int  # number of the table's first body among the bodies of all [[bodies]]
     units: UnitSystem  # units of the numbers in files
-    material: Material | None = None  # of the section
+    material: Material | None = None  # material of the section
     centre: Centre | None = None  # centre of the orbits, if the section has one
 
 
@@ -69,7 +69,7 @@ class DataFiles:
             raise SceneError(f"the key file is missing; it is the name of the data file{arrays}")
         path = self.folder / section.file
         try:
-            # refuse endless and blocking files, and oversized ones, because files are read several times
+            # refuse endless, blocking and oversized files, because files are read several times
             status = path.stat()
             if stat.S_ISDIR(status.st_mode):
                 raise SceneError(f"{section.file}: a folder, not a data file")
@@ -80,7 +80,7 @@ class DataFiles:
             digest = _digest(path)
         except SceneError:
             raise
-        except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+        except (OSError, ValueError) as error:  # a name with a zero byte raises a ValueError
             reason = getattr(error, "strerror", None) or str(error)
             raise SceneError(f"{path}: cannot be read: {reason}") from None
         if section.sha256 not in (None, digest):
@@ -116,9 +116,10 @@ class HeldBodies:
     """Bodies of a scene that are already in memory, from files, arrays or a recording."""
 
     sections: tuple[BodyData, ...]  # the [[bodies]] tables of these bodies
-    bodies: tuple[SourcedBodies, ...]  # of each table
-    units: UnitSystem = SI  # of the scene's numbers
-    files: DataFiles | None = field(default=None, compare=False)  # read again if a table changes; None without files
+    bodies: tuple[SourcedBodies, ...]  # bodies of each table
+    units: UnitSystem = SI  # units of the scene's numbers
+    # files that are read again if a table changes; None without files
+    files: DataFiles | None = field(default=None, compare=False)
 
     def find(self, wanted: Wanted) -> SourcedBodies:
         """Return the bodies; read the file again if its table or the units have changed."""

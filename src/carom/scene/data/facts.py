@@ -1,8 +1,8 @@
 """Statements of a file about its numbers, besides columns: units, angles, frame of reference, epoch, time and box.
 
 Each reader fills a `Facts`, `column_factor` converts a column or refuses it, and `contradiction` compares the tables of
-a scene. The unit of a column is stated by the scene (``columns = { mass = "mass [g]" }``); otherwise by the column in
-the file; otherwise by the file; otherwise it is the scene's own unit.
+a scene. The unit of a column comes from the scene (``columns = { mass = "mass [g]" }``), or else from the column in the
+file, or else from the file. Otherwise it is the scene's own unit.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ SUN = "Sun"
 _SAME_EPOCH = 1e-5  # days within which epochs agree; printed Julian dates have seven digits or more after the point
 _LONGEST_NAME = 40  # most characters of a name in a message
 _LONGEST_SPLIT = 200  # most characters of a name in which a unit is searched
-_NAMES_KEPT = 100_000  # names of columns whose reading is remembered; a wide table has some thousands
+_NAMES_KEPT = 100_000  # most names of columns that are remembered; a wide table has some thousands
 _WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*(?:\([^()]*\)[^()]*)*)\))\s*")  # "x [au]", "mass (kg)"
 _OVER = re.compile(r"([^/]+?)\s*/\s*\(?([^()]+?)\)?")  # "x/m" and "v/(m/s)", as ISO 80000 writes headers
 _INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # index of a component: "Points:0", "v_2", "velocity[1]"
 _SEPARATORS = re.compile(r"[\s_.:-]+")
-_NO_UNIT = ("", "1", "-", "none", "dimensionless", "unitless")  # texts that stand in the place of a unit
-# Units at the end of a name, and their spellings. Other abbreviations are also words: "radius_in" is an inner radius.
+_NO_UNIT = ("", "1", "-", "none", "dimensionless", "unitless")  # texts that mean "no unit"
+# Units at the end of a name, and their spellings. Other abbreviations are left out because they are also words:
+# "radius_in" is an inner radius.
 _SUFFIXES = {
     **{name: name for name in ("m", "cm", "mm", "um", "nm", "km", "au", "AU", "pc", "kpc", "Mpc", "kg", "g")},
     **{name: name for name in ("s", "sec", "ms", "us", "ns", "day", "days", "yr", "kyr", "Myr", "Gyr")},
@@ -86,10 +87,10 @@ class Facts:
 class FileColumn:
     """A column of a file: its name, and its unit, which the name contains or the file states."""
 
-    name: str  # in the file
+    name: str  # name in the file
     proper: str  # name without the unit and, in HDF5, without the path
     unit: str = ""
-    odd: str = ""  # text in the place of a unit that is not a unit
+    odd: str = ""  # text that stands in the place of a unit, but is not a unit
 
     @property
     def plain(self) -> str:
@@ -103,7 +104,7 @@ class FileColumn:
         return short if not self.unit or self.unit in short else f"{short} [{printable(self.unit)}]"
 
     def with_suffix(self, dimension: Dimension, brief: bool = True) -> FileColumn | None:
-        """Read the end of the name as a unit of a dimension: "x_km", "vx_kms", "inc_deg"; None if it is none.
+        """Read the end of the name as a unit of a dimension: "x_km", "vx_kms", "inc_deg"; None if it is no unit.
 
         Two single letters, as in "m_t", are a unit only with ``brief``.
         """
@@ -200,8 +201,8 @@ def column_factor(
 ) -> float:
     """Return the size of a column's unit in units of the simulation.
 
-    The dimension of the quantity is the product of ``dimensions``. Raises SceneError if the unit is unknown, or is not
-    one of the quantity.
+    The dimension of the quantity is the product of ``dimensions``. Raises SceneError if the unit is unknown, or does
+    not fit the quantity.
     """
     if units.dimensionless:
         return 1.0
@@ -237,7 +238,7 @@ def column_factor(
 
 
 def refuse_other_units(called: str, facts: Facts, units: UnitSystem, read: Iterable[Dimension]) -> None:
-    """Refuse a file with a law of motion, whose constants are taken over, if the scene has another unit of a number."""
+    """Refuse a file that has a law of motion, since its constants are taken over, if the scene has another unit."""
     its = facts.units
     if its.dimensionless or units.dimensionless or not its.given:
         return

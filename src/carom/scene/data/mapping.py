@@ -1,4 +1,4 @@
-"""The columns of a table that hold each quantity: named by the scene, or with usual names."""
+"""The columns of a table that hold each quantity: columns that the scene names, or columns with usual names."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ USUAL: dict[str, tuple[str, ...]] = {
     "position": ("position", "positions", "pos", "coordinates", "xyz", "points"),
     "velocity": (
         *("velocity", "velocities", "vel", "velo", "v"),
-        *("linvelvec", "linvel", "linearvelocity", "linearvelocities"),  # linVelVec is YADE's
+        *("linvelvec", "linvel", "linearvelocity", "linearvelocities"),  # linVelVec is a name of YADE
     ),
     "angular_velocity": (
         *("angularvelocity", "angularvelocities", "omega", "omegas", "spin", "angvel"),
@@ -47,7 +47,7 @@ USUAL: dict[str, tuple[str, ...]] = {
     "fixed": ("fixed",),
     "name": ("name", "names", "label", "fullname"),
 }
-USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z instead of the star
+USUAL_AXES: dict[str, tuple[str, ...]] = {  # names with x, y and z in place of the star
     "position": ("*", "p*", *(f"{name}*" for name in USUAL["position"]), "*u", "*position", "*pos"),
     "velocity": (*(f"{name}*" for name in USUAL["velocity"]), "*velocity", "*vel"),
     "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"]), "*angularvelocity"),
@@ -77,7 +77,7 @@ _OF_ELEMENTS = {
     **{"a": LENGTH, "q": LENGTH, "tp": TIME, "epoch": TIME},
     **dict.fromkeys(("i", "node", "peri", "M"), ANGLE),
 }
-ORIENTED = ("e", "i", "node", "peri")  # the elements that every orbit needs; others may replace each other
+ORIENTED = ("e", "i", "node", "peri")  # elements that every orbit needs; other elements may replace each other
 _RIVALS = (("mass", "density"), ("radius", "diameter"))  # pairs of quantities that determine each other
 _MOST_SHOWN = 12  # most columns that a message lists
 _MOST_NOTED = 200  # most columns that a note lists
@@ -85,7 +85,7 @@ _MOST_NOTED = 200  # most columns that a note lists
 # further columns of elements
 _ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))
 _SPHERICAL = frozenset(("theta", "phi", "lat", "lon", "ra", "dec", "delta", "rdot", "rr"))
-_MEANINGS = {  # ambiguous names: their meanings, and columns that suggest one of them
+_MEANINGS = {  # ambiguous names: their meanings, and columns that suggest one of these meanings
     "r": ("a distance or a colour", _ORBIT | _SPHERICAL | {"g", "b"}),
     "rho": ("a distance", _SPHERICAL),
     "m": ("a mean anomaly or a magnitude", frozenset[str]()),
@@ -105,7 +105,7 @@ ColumnMapping = dict[str, tuple[FileColumn, ...]]  # quantity → one column, th
 
 
 def columns_in(table: DataTable, section: BodyData) -> list[FileColumn]:
-    """Return the columns of a table, including hidden ones that the scene names."""
+    """Return the columns of a table, including hidden columns that the scene names."""
     named = [columns for _, columns in section.columns if columns is not None]
     asked = {name for columns in named for name in ((columns,) if isinstance(columns, str) else columns)}
     names = [*table.names, *(name for name in table.hidden if name in asked)]
@@ -115,8 +115,8 @@ def columns_in(table: DataTable, section: BodyData) -> list[FileColumn]:
 def mapping_of(section: BodyData, columns: Sequence[FileColumn], table: DataTable) -> ColumnMapping:
     """Return the columns of each quantity that has no value in the scene.
 
-    Raises SceneError if a column is missing, if two columns hold the same quantity, or if a vector of an unknown name
-    may hold a quantity that would be 0 without it.
+    Raises SceneError if a column is missing, if two columns hold the same quantity, or if a vector with an unknown name
+    may hold a quantity that would otherwise be 0.
     """
     mapping: ColumnMapping = {}
     called = table.called
@@ -142,7 +142,7 @@ def mapping_of(section: BodyData, columns: Sequence[FileColumn], table: DataTabl
                 mapping |= {quantity: part} if part else {}
         if quantity == "position":
             _refuse_missing(section, mapping, columns, called, ("position",))
-    for first, second in _RIVALS:  # the scene must name the column for one of both
+    for first, second in _RIVALS:  # the scene must name the column of one of the two
         if first in mapping and second in mapping:
             asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
             if len(asked) != 1:
@@ -184,7 +184,7 @@ def _part_of_vector(quantity: str, columns: Sequence[FileColumn], plane: bool, c
 def _refuse_lost_vectors(
     section: BodyData, mapping: ColumnMapping, columns: Sequence[FileColumn], table: DataTable
 ) -> None:
-    """Refuse a vector that may be a velocity, if the bodies would be at rest without it."""
+    """Refuse an unused vector that may be a velocity, if bodies would be at rest without it."""
     plain = {column.plain: column for column in columns}
     used = {column.name for each in mapping.values() for column in each}
     for quantity, beginnings in _LOST.items():
@@ -284,7 +284,7 @@ def question(called: str, column: FileColumn, quantity: str, others: str) -> Sce
 
 
 def _refuse_doubtful(quantity: str, column: FileColumn, columns: Sequence[FileColumn], called: str) -> None:
-    """Refuse a name with several meanings unless other columns confirm the usual one."""
+    """Refuse a name with several meanings unless other columns confirm the usual meaning."""
     plain, own = [each.plain for each in columns], column.proper
     others, signs = _MEANINGS.get(column.plain, ("", frozenset[str]()))
     if not others or column.unit:

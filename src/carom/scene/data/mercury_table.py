@@ -1,7 +1,8 @@
 """MercuryDPM's .data files: for each step a line with the number of particles, the time and the box, then particles.
 
-MercuryDPM's DPMBaseXBalls.icc writes these columns: 14 in three dimensions, 8 in two, where angles
-and angular velocities have the opposite sign. LAMMPS uses the same ending; the first line distinguishes the two.
+MercuryDPM's DPMBaseXBalls.icc writes these columns: 14 columns in three dimensions, and 8 in two dimensions, in which
+angles and angular velocities have the opposite sign. Files of LAMMPS have the same ending; the first line shows which
+program wrote a file.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _COLUMNS = {  # columns by the number of words in a step's line
     6: ("x", "y", "vx", "vy", "radius", "angle", "-wz", "info"),
     8: (*("x", "y", "z", "vx", "vy", "vz", "radius"), *("angle x", "angle y", "angle z", "wx", "wy", "wz", "info")),
 }
-_LONGEST = 100_000  # characters in a line
+_LONGEST = 100_000  # most characters in a line
 
 
 class _Step(NamedTuple):
@@ -72,7 +73,7 @@ def _first_line(text: str) -> tuple[float, ...] | None:
 
 
 def _steps(file: TextIO, called: str) -> Iterator[_Step]:
-    """Find the steps; raises SceneError if one is incomplete."""
+    """Find the steps; raises SceneError if a step is incomplete."""
     line, stored = 1, os.fstat(file.fileno()).st_size
     while (text := file.readline(_LONGEST)).strip():
         numbers = _first_line(text)

@@ -29,7 +29,7 @@ _NAMES = {"AU": "au", "KM": "km", "D": "day", "S": "s"}  # names of units in Hor
 _LABELLED = re.compile(r"\b(V?[XYZ])\s*=\s*(\S+)")  # a value in a table that is not CSV
 _EPOCH = re.compile(r"\s*(\d{7}\.\d+)\s*=", re.MULTILINE)
 _VECTOR = ("X", "Y", "Z", "VX", "VY", "VZ")
-_LARGEST = 200_000_000  # bytes
+_LARGEST = 200_000_000  # most bytes of a file
 _PLACES = {  # element with unit → its first and last column, counted from 1
     "epoch [day]": (21, 25),
     "ma [deg]": (27, 35),
@@ -52,7 +52,7 @@ class _Block(NamedTuple):
     name: str
     epoch: str  # Julian day
     values: list[float]  # position and velocity
-    units: tuple[str, str]  # of lengths and times
+    units: tuple[str, str]  # units of lengths and times
     centre: str
     frame: str
 
@@ -83,7 +83,7 @@ def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
                     f"all bodies with one {what}"
                 )
     length, time = first.units
-    # the units are those of the first block
+    # all values are in the units of the first block
     values = np.array([block.values for block in blocks])
     for row, block in enumerate(blocks):
         if block.units != first.units:
@@ -103,7 +103,7 @@ def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _frame(written: str) -> str:
-    """Return the name of a frame of Horizons as `Facts` has it."""
+    """Return the name that `Facts` uses for a frame of Horizons."""
     return ECLIPTIC if written.casefold().startswith("ecliptic of j2000") else written
 
 
@@ -142,7 +142,7 @@ def _table(title: str, rows: str) -> list[tuple[str, Sequence[str]]]:
 
 
 def _labelled(rows: str) -> list[tuple[str, Sequence[str]]]:
-    """Read vectors whose values have labels, below a line with each epoch."""
+    """Read vectors whose values have labels; a line with the epoch precedes each vector."""
     pieces = _EPOCH.split(rows)[1:]
     found = list[tuple[str, Sequence[str]]]()
     for epoch, text in zip(pieces[::2], pieces[1::2], strict=True):

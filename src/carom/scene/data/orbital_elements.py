@@ -36,20 +36,21 @@ from carom.scene.units.system import UnitSystem
 _ANGLES = ("i", "node", "peri", "M")
 _TURNING = ("i", "node", "peri")  # angles that every program writes within one turn
 _DEGREE = math.pi / 180.0
-_TURN = 2.0 * math.pi * (1.0 + 1e-9)  # radians in a turn, with the error of printed digits
+_TURN = 2.0 * math.pi * (1.0 + 1e-9)  # radians in a turn, with an allowance for printed digits
 _OF_JPL = {"full_name", "pdes", "spkid"}  # columns that identify a table of JPL's small bodies
 _UNITS_OF_JPL = {
     **{"a": "au", "q": "au", "tp": "day", "epoch": "day", "diameter": "km"},
     **dict.fromkeys(("i", "om", "w", "ma"), "deg"),
 }
 _IN_DEGREES = {"i", "om", "w", "ma"}  # JPL's names of angles, which it writes in degrees
-_JULIAN = (2.2e6, 2.7e6)  # Julian dates of the years 1311 to 2680; an epoch outside of these is counted otherwise
+_JULIAN = (2.2e6, 2.7e6)  # Julian dates of the years 1311 to 2680; an epoch outside of this range is no Julian date
 _TERMS = 9  # terms in the series of Stumpff's functions; the next one is less than 1e-18
-_MOST_STEPS = 1000  # most steps of Newton's method: some 6 for an ellipse, one per unit of the anomaly for a hyperbola
+# most steps of Newton's method: it takes some 6 for an ellipse, and one per unit of the anomaly for a hyperbola
+_MOST_STEPS = 1000
 
 
 class Centre(NamedTuple):
-    """The central body that others orbit, in units of the simulation."""
+    """The central body of orbits, in units of the simulation."""
 
     constant: float  # gravitational constant
     mass: float
@@ -76,10 +77,10 @@ class OrbitTable(DataTable):
         is_of_jpl = bool(_OF_JPL & set(table.names))
         if is_of_jpl:
             self.facts = replace(table.facts, of_columns=_UNITS_OF_JPL, frame=ECLIPTIC, centre=SUN)
-        # the designation stands for the name of an unnamed object
+        # for an unnamed object, the designation serves as a name
         names = [name for name in table.names if name != "name" or "full_name" not in table.names]
         self._columns = elements_in(columns_of(names, self.facts, self.paths))
-        # refuses a table that lacks an element
+        # this refuses a table that lacks an element
         there = self._columns
         missing = [f"{element} ({ELEMENTS[element][0]})" for element in ORIENTED if element not in there]
         missing += [] if {"a", "q"} & set(there) else ["a or q"]
@@ -126,10 +127,10 @@ class OrbitTable(DataTable):
         return self._table.read([column.name for column in self._columns.values()])
 
     def _unit_of_angles(self) -> str:
-        """Return the unit of the angles whose columns name none; empty if there are none.
+        """Return the unit of angles whose columns name no unit; empty if there are no such angles.
 
-        The unit is stated by ``orbit.angle``, by the file, or by the scene; otherwise it is a degree. Raises SceneError
-        where the values point to the other unit.
+        The unit comes from ``orbit.angle``, from the file, or from the scene; otherwise it is the degree. Raises
+        SceneError if the values suggest the other unit.
         """
         unnamed = [element for element in _ANGLES if element in self._columns and not self._columns[element].unit]
         if not unnamed:
@@ -167,7 +168,7 @@ class OrbitTable(DataTable):
         return values
 
     def _element(self, element: str) -> FloatArray:
-        """Return an element of the bodies that are read: angles in degrees, times in the unit of their column."""
+        """Return an element of the selected bodies: angles in degrees, times in the unit of their column."""
         values, column = self._numbers(element)[self._kept], self._columns[element]
         if element in _ANGLES:
             text = column.unit or self._angle
@@ -183,9 +184,9 @@ class OrbitTable(DataTable):
         self._kept = kept
         e = self._element("e")
         beta, q = self._shape(e)
-        # √μ t since the pericentre; for an ellipse, since the nearest one
+        # √μ t since the pericentre; for an ellipse, since the nearest pericentre
         ellipse, root_mu = beta > 0.0, np.sqrt(self._centre.constant * (self._centre.mass + mass))
-        rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
+        rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with respect to √μ t
         elapsed = self._elapsed(len(e)) * root_mu
         with np.errstate(divide="ignore", invalid="ignore"):
             if "M" in self._columns:
@@ -224,7 +225,7 @@ class OrbitTable(DataTable):
         return position + np.array(self._centre.position), velocity + np.array(self._centre.velocity)
 
     def _advice(self, mass: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[str, ...]:
-        """Return a note on the central body whose barycentre with the others rests at the origin."""
+        """Return a note on how a central body must move so that the common barycentre rests at the origin."""
         total = self._centre.mass + math.fsum(mass.tolist())
         if not self._centre.name or not mass.any():
             return ()
@@ -278,11 +279,11 @@ class OrbitTable(DataTable):
 
 
 def _plane_of_orbit(q: FloatArray, e: FloatArray, beta: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
-    """Return x, y and their rates over √μ, at a time since the pericentre in units of 1/√μ."""
+    """Return x, y and their rates divided by √μ, at a time since the pericentre in units of 1/√μ."""
     wanted, closed = np.abs(time), beta > 0.0
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Newton's method descends from above, since r grows with χ: it starts at the apocentre, or at the smaller of
-        # two bounds
+        # two upper bounds
         furthest = np.where(closed, math.pi / np.sqrt(np.abs(beta)), cube_root(6.0 * wanted / np.maximum(e, 1.0)))
         chi = np.minimum(wanted / q, furthest)
     for _ in range(_MOST_STEPS):
@@ -299,7 +300,7 @@ def _plane_of_orbit(q: FloatArray, e: FloatArray, beta: FloatArray, time: FloatA
 
 
 def _stumpff(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return Stumpff's functions c₀ to c₃: from series at z / 4ᵏ, below 1 in size, then by k doublings."""
+    """Return Stumpff's functions c₀ to c₃: by series at z / 4ᵏ, whose size is below 1, and then by k doublings."""
     _, exponent = np.frexp(np.abs(z))
     halvings = np.maximum(0, (exponent + 1) // 2)
     small = np.ldexp(z, -2 * halvings)

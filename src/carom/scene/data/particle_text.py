@@ -1,7 +1,7 @@
 """Particles in text files: dumps and data files of LAMMPS and LIGGGHTS, and XYZ files, plain and extended.
 
-An XYZ file has a block of text for each step; `carom export` writes the extended form. carom reads files of LAMMPS
-itself, since lammpsio omits the radii, spins and densities of spheres.
+An XYZ file has a block of text for each step; `carom export` writes the extended form. carom has its own reader for
+files of LAMMPS, since lammpsio omits the radii, spins and densities of spheres.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from carom.scene.data.text_rows import TextRows
 from carom.scene.units.system import SI, WITHOUT, UnitSystem
 
 _STEP = b"ITEM: TIMESTEP"
-_BEFORE = re.compile(rb"(?:ITEM: (?:UNITS|TIME)[ \t]*\r?\n[^\n]{0,100}\n)*(?=ITEM: TIMESTEP)")  # in the first step
+# statements that precede the first step
+_BEFORE = re.compile(rb"(?:ITEM: (?:UNITS|TIME)[ \t]*\r?\n[^\n]{0,100}\n)*(?=ITEM: TIMESTEP)")
 _TAIL = re.compile(r"(?m)^ITEM: TIME\n")  # head of the next step, after the rows of a step
 # Names of units in LAMMPS (its command `units`) and in carom; a mass in g/mol is the mass of one atom in daltons.
 REDUCED = "lj"
@@ -53,7 +54,7 @@ _COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # number of 
 _HEAD = 10_000  # bytes at the beginning of a data file that contain its header
 _LINES = 20  # most lines of a data file per atom, including bonds, angles and dihedrals
 _HEADER_LINES = 1000  # most further lines: header, masses, coefficients
-_LONGEST = 1_000_000  # characters in a line
+_LONGEST = 1_000_000  # most characters in a line
 _DIGITS = 20  # most digits of a number of rows; numbers below 2⁶³ have at most 19
 _WIDEST = 100  # most numbers of a property in a row
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
@@ -119,7 +120,7 @@ class _Dump(DataTable):
         self.names = [self._scaled.get(name, name) for name in self._written]
         units = "".join(items.get("UNITS", [])[:1]).strip() or units
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
-        ends = bounds[0].split()[-3:]  # boundaries such as pp pp ff; old versions write none
+        ends = bounds[0].split()[-3:]  # boundaries such as pp pp ff; old versions write no boundaries
         repeated = "".join(axis for axis, end in zip("xyz", ends, strict=False) if end in ("pp", "p"))
         box = None
         if self._box is not None and not self._skewed:
@@ -150,7 +151,7 @@ class _Dump(DataTable):
 
 
 def _units_called(called: str, name: str) -> UnitSystem:
-    """Return the units that LAMMPS calls by a name; SI, which states nothing, without a name."""
+    """Return the units that LAMMPS calls ``name``; without a name, SI, which states nothing."""
     if name and name not in UNITS:
         raise SceneError(
             f"{called}: its numbers are in the units {printable(name)} of LAMMPS, which carom does not know; it knows "
@@ -172,7 +173,7 @@ class _Section(NamedTuple):
     """A section of a data file."""
 
     style: str  # style of the atoms, in the comment after the name of their section
-    line: int  # of its first row
+    line: int  # number of its first row
     rows: list[str]
 
 
@@ -260,7 +261,7 @@ def _sections(lines: Sequence[str]) -> dict[str, _Section]:
 
 
 def _rows(called: str, names: Sequence[str], section: _Section, optional: Sequence[str] = ()) -> TextRows:
-    """Read the rows of a section; optional columns are in all rows or in none."""
+    """Read the rows of a section; all rows have the optional columns, or no row has them."""
     more = bool(section.rows) and len(section.rows[0].split()) == len(names) + len(optional)
     return TextRows(called, [*names, *(optional if more else ())], section.rows, section.line + 2)
 
@@ -306,7 +307,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _lattice(comment: str) -> FileBox | None:
-    """Return the box that a comment of the extended form states; None for a box that is not a cuboid."""
+    """Return the box that a comment of the extended form states; None if the box is not a cuboid."""
     found = _LATTICE.search(comment)
     vectors = [number_in(word) for word in found[1].split()] if found else []
     if len(vectors) != 9 or any(each is None or (k % 4 and each) for k, each in enumerate(vectors)):
@@ -314,7 +315,7 @@ def _lattice(comment: str) -> FileBox | None:
     corner = _ORIGIN.search(comment)
     low = [number_in(word) or 0.0 for word in corner[1].split()] if corner else [0.0, 0.0, 0.0]
     repeated = _PERIODIC.search(comment)
-    signs = repeated[1].split() if repeated else ["T", "T", "T"]  # ASE and OVITO: the lattice repeats by default
+    signs = repeated[1].split() if repeated else ["T", "T", "T"]  # as in ASE and OVITO, the lattice repeats by default
     periodic = "".join(axis for axis, sign in zip("xyz", signs, strict=False) if sign.upper()[:1] in ("T", "1"))
     return FileBox((*low[:3],), tuple(float(vectors[k] or 0.0) for k in (0, 4, 8)), periodic) if len(low) == 3 else None
 

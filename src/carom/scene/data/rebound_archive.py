@@ -15,7 +15,7 @@ from carom.scene.data.facts import Facts, FileBox, printable
 from carom.scene.units.system import SI, UnitSystem, units_of_rebound
 from carom.scene.wording import counted
 
-_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same forces
+_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods that sum the same forces
 _INTEGRATORS = {  # REBOUND's name → the same method in carom
     "ias15": "gauss-radau15",
     "leapfrog": "leapfrog-dkd",
@@ -41,7 +41,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
             span = f"from t = {archive.tmin:g} to {archive.tmax:g}" if count > 1 else f"of t = {archive.tmin:g}"
             raise SceneError(f"{called}: there is no snapshot {snapshot}; the file has {count}, {span}")
         simulation = archive[snapshot % count]
-        simulation.synchronize()  # between outputs, symplectic maps hold positions and velocities of different times
+        simulation.synchronize()  # between outputs, symplectic maps hold positions and velocities at different times
     texts = list(dict.fromkeys(str(warning.message) for warning in given))
     notes = [
         f"REBOUND warns: {text.splitlines()[0]}"
@@ -68,7 +68,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
     particles = len(simulation.particles)  # excludes variational particles, which N includes before version 5
-    # without radii or masses if all of them are 0
+    # without radii or masses if all these are 0
     everything = simulation.N
     position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
     mass, radius = np.zeros(everything), np.zeros(everything)
@@ -118,7 +118,7 @@ def _package(called: str) -> Any:
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
     """Return the attracting masses: 0 for REBOUND's test particles, which attract nothing even if they have a mass."""
     n, active = len(mass), int(simulation.N_active)
-    # N_active of -1 or the largest integer, the default, means that all are active
+    # an N_active of -1, or of the largest integer, which is the default, means that all particles are active
     light = mass[active:] if 0 <= active < n else mass[n:]
     if not light.any():
         return mass

@@ -1,7 +1,8 @@
-"""Tables with several steps: finds the rows of a long table, or the axis of an array, of the step that a scene reads.
+"""Tables with several steps: finds the rows of a long table, or the axis of an array, for the step that a scene reads.
 
 A long table has a row for each body and step: the names of its bodies repeat beside a column of times. An array of
-shape (steps, n, 3) may also have the bodies first; the other arrays of the file, or ``count``, decide between both.
+shape (steps, n, 3) may also have the bodies first; the other arrays of the file, or ``count``, decide which axis has
+the steps.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from carom.scene.schema.body import BodyData
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
-# plain names of columns
+# plain names of columns of times
 _TIMES = (
     *("t", "time", "simtime", "frame", "step", "timestep", "snapshot"),
     *("jd", "jdtdb", "epochjd", "epoch", "date", "datetime"),
@@ -61,7 +62,7 @@ def rows_of_step(
     Returns
     -------
     mask, note, choosing
-        The rows (n,), or None for all; a note on them; the columns by which they were chosen.
+        Mask of the rows (n,), or None for all; a note on these rows; the columns by which they were chosen.
     """
     there = [each for each in steps.times if raw[each.name].shape == (rows,)]
     several = [each for each in there if len(_distinct(raw[each.name])) > 1]
@@ -118,7 +119,7 @@ def _distinct(values: Raw) -> Raw:
     """Return the distinct values, in the order of their first rows."""
     try:
         _, first = np.unique(values, return_index=True)
-    except TypeError:  # texts with gaps
+    except TypeError:  # raised for texts with gaps
         _, first = np.unique(values.astype(str), return_index=True)
     return np.asarray(values[np.sort(first)])
 
@@ -130,9 +131,9 @@ def _text(value: object) -> str:
 def axis_of_steps(
     section: BodyData, table: DataTable, steps: Steps, raw: Mapping[str, Raw], dimensions: Mapping[str, int]
 ) -> int:
-    """Return the axis of the steps in arrays with several steps, 0 or 1; ask if nothing decides it.
+    """Return the axis of the steps in arrays with several steps, 0 or 1; raise SceneError if nothing decides.
 
-    ``dimensions`` has the number of axes that each array of a single step has.
+    ``dimensions`` has, for each array, the number of axes of a single step.
     """
     stacked = [name for name, own in dimensions.items() if raw[name].ndim == own + 1]
     if not stacked:

@@ -17,21 +17,21 @@ from carom.scene.data.facts import Facts, printable
 from carom.scene.data.mapping import usual_names
 from carom.scene.wording import counted
 
-HEAD = 1_000_000  # bytes from which a format is recognised; a longer line is refused
-_SAMPLE = 50  # lines of these bytes
+HEAD = 1_000_000  # bytes in which a format is recognised; a longer line is refused
+_SAMPLE = 50  # most lines of these bytes that are examined
 _LARGEST = 500_000_000  # bytes of the largest file that is rewritten in memory
 _COMMENTS = ("#", "%", "!", "//")
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 _USUAL = {".csv": ",", ".tsv": "\t"}  # separators by suffix, if none divides all lines alike
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decimal comma
 _TITLE = re.compile(r"(?:format|columns?)\s*:\s*", re.IGNORECASE)  # words before the names in a comment
-_YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
+_YADE = re.compile(r"#\s*format\s+(\S+)")  # names of columns in YADE's text export, such as x_y_z_r
 _UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 _NASA = re.compile(r"(?m)^COLUMN (\w+):.*\[([^\[\]]+)\]")  # "COLUMN pl_bmassj: Planet Mass [Jupiter mass]"
 _ECSV_NAME = re.compile(r"\bname:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
 _ECSV_UNIT = re.compile(r"\bunit:\s*('[^']*'|\"[^\"]*\"|[^,}\n]+)")
 _ECSV_EPOCH = re.compile(r"\bepoch:\s*['\"]?J2000(?:\.0)?\b")
-_J2000 = 2_451_545.0  # Julian date
+_J2000 = 2_451_545.0  # Julian date of the epoch J2000
 
 
 @dataclass
@@ -39,7 +39,7 @@ class TextDialect:
     """The dialect of a text file."""
 
     names: list[str]  # names of the columns; empty if no line has them
-    columns: int  # their number
+    columns: int  # number of columns
     separator: str  # character between values
     skipped: int  # lines before the first row, in a file that pyarrow reads unchanged
     rows: bytes | None = None  # the rows as plain CSV, if the file must be rewritten
@@ -47,7 +47,7 @@ class TextDialect:
 
 
 def dialect_of(path: Path, called: str) -> TextDialect:
-    """Recognise the dialect of a text file; raises SceneError, which names the first line that is not a row."""
+    """Recognise the dialect of a text file; SceneError names the first line that is not a row."""
     with path.open("rb") as file:
         head = file.read(HEAD)
     if not head.strip():
@@ -83,7 +83,7 @@ def dialect_of(path: Path, called: str) -> TextDialect:
         and not lines.comments
         and lines.first == 1
     )
-    if plain:  # comments may also follow after the sample
+    if plain:  # comments may also come after the sample
         with path.open("rb") as raw, mmap.mmap(raw.fileno(), 0, access=mmap.ACCESS_READ) as content:
             plain = not any(content.find(b"\n" + sign.encode()) >= 0 for sign in _COMMENTS)
     dialect = TextDialect(names, columns, separator, int(has_header))
@@ -144,7 +144,7 @@ def _separator(sample: Sequence[str], usual: str) -> tuple[str, bool]:
 
 
 def _cells(line: str, separator: str, whole: bool = False) -> list[str]:
-    """Divide a line; a separator at its end is ignored, unless ``whole``."""
+    """Divide a line; a separator at the end is ignored, unless ``whole``."""
     if separator == " ":
         line = line.replace("\t", " ").strip()
     found = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
@@ -164,8 +164,8 @@ def _with_point(cell: str) -> str:
 def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str]:
     """Return the column names in the comment with as many names as values; empty if there is none.
 
-    If several comments fit, the one with the most usual names is taken, because a sentence may have as many words as
-    there are columns; of equally good ones, the last.
+    If several comments fit, the comment with the most usual names is chosen, because a sentence may have as many words
+    as there are columns; among equally good comments, the last one is chosen.
     """
     best, most = list[str](), -1
     for comment in reversed(comments):
@@ -189,7 +189,7 @@ def rewritten(lines: TextLines, dialect: TextDialect, comma: bool, named: int, c
         if lines.number == named:
             continue
         cells = _cells(line, dialect.separator)
-        if len(cells) == dialect.columns - 1 and line.endswith(dialect.separator):  # an empty last value
+        if len(cells) == dialect.columns - 1 and line.endswith(dialect.separator):  # the last value is empty
             cells.append("")
         if len(cells) != dialect.columns:
             where = f"line {named} names" if named else "the first row has"

@@ -18,7 +18,7 @@ class TextRows(DataTable):
     """A table of rows separated by blanks; each row is checked."""
 
     def __init__(self, called: str, names: Sequence[str], lines: Iterable[str], first: int) -> None:
-        """Read rows, each of which must have a value for each name; ``first`` is the line number of the first row."""
+        """Read rows, which must have a value for each name; ``first`` is the line number of the first row."""
         refuse_many_columns(called, len(names))
         self.called, self.names = called, list(names)
         buffer = io.StringIO()

@@ -1,7 +1,7 @@
 """Points with data in VTK's files: legacy .vtk, and the XML forms .vtp and .vtu (VTK File Formats, Kitware).
 
-LIGGGHTS, ParaView and `carom export` write legacy files, ParaView the XML forms. carom has its own reader, since meshio
-reads neither POLYDATA nor .vtp.
+LIGGGHTS, ParaView and `carom export` write legacy files; ParaView also writes the XML forms. carom has its own reader,
+since meshio reads neither POLYDATA nor .vtp.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ _KINDS = {
 }
 _DATASETS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
-_LONGEST = 10_000  # characters in a line
+_LONGEST = 10_000  # most characters in a line
 _DIGITS = 12  # most digits of a number of values; a file of `_LARGEST` bytes has fewer
 _DIGITS_OF_WIDTH = 4
-_MOST_FIELDS = 10_000  # arrays of a file
+_MOST_FIELDS = 10_000  # most arrays of a file
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 _ATTRIBUTES = {
     **{f"{sign}Int{8 * size}": f"{letter}{size}" for sign, letter in (("", "i"), ("U", "u")) for size in (1, 2, 4, 8)},
     **{"Float32": "f4", "Float64": "f8"},
 }
-_LARGEST = 2_000_000_000  # bytes
+_LARGEST = 2_000_000_000  # most bytes of a file
 
 
 def open_vtk(path: Path, called: str, snapshot: int) -> DataTable:
@@ -80,7 +80,7 @@ class _Reader:
         return text
 
     def words(self) -> list[str]:
-        """Return the words of the next line that has any; none at the end."""
+        """Return the words of the next line that is not blank; empty at the end."""
         while self._place < len(self._content):
             if words := self.line().split():
                 return words
@@ -92,7 +92,7 @@ class _Reader:
         if not number.itemsize:
             raise SceneError(f"{self.called}: values of the type {printable(kind)} are not read")
         left = len(self._content) - self._place
-        if count * (number.itemsize if self.binary else 2) > left + 1:  # the last number needs no blank after it
+        if count * (number.itemsize if self.binary else 2) > left + 1:  # no blank is needed after the last number
             raise SceneError(
                 f"{self.called}: {count} values of the type {kind} are announced, but {left} bytes are left"
             )
@@ -119,7 +119,7 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
 
     def add(name: str, kind: str, width: int, rows: int) -> None:
         refuse_many_rows(reader.called, rows, reader.size)
-        if kind.lower() == "string":  # names of points, one in a line
+        if kind.lower() == "string":  # names of points, one name in each line
             for _ in range(rows * width):
                 reader.line()
             return
@@ -275,7 +275,7 @@ def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.gen
     text = (element.text or "").strip()
     if element.get("format") == "ascii":
         number: type[float] | type[int] = float if kind.kind == "f" else int
-        # one number more than announced shows that there are too many
+        # one number more than announced is read, to notice if there are too many
         few = itertools.islice((number(word[0]) for word in re.finditer(r"\S+", text)), count + 1)
         return np.fromiter(few, kind.newbyteorder("="))
     place = element.get("offset", "0")
@@ -288,7 +288,7 @@ def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.gen
             f"{blocks.called}: the offset {printable(place)} is beyond the appended data; the file ends early"
         )
     content = _unpacked(blocks, data, raw, count * kind.itemsize)
-    whole = len(content) - len(content) % kind.itemsize  # bytes of complete numbers, also in a truncated file
+    whole = len(content) - len(content) % kind.itemsize  # bytes of complete numbers, even in a truncated file
     return np.frombuffer(content[:whole], kind).astype(kind.newbyteorder("="))
 
 
