@@ -79,6 +79,12 @@ class TornFooterError(DamageError):
     """A file ends inside its footer: nothing but the index is lost."""
 
 
+def status_of(error: RecordingError) -> str:
+    """Return the status of a run whose recording failed: "error" for a program or a damaged file, else "disk"."""
+    damaged = isinstance(error, DamageError) or isinstance(error.__cause__, DamageError)
+    return "error" if damaged or isinstance(error, RecorderError) else "disk"
+
+
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w-]+)["']""")
 
 

@@ -1,7 +1,4 @@
-"""Writes several runs into one recording: two for comparison, trajectories over a reference, or branches of a run.
-
-Perturbed branches diverge: bodies are shaded by their spread between branches, and a band shows the distances.
-"""
+"""Writes several runs into one recording: two for comparison, or trajectories over a reference."""
 
 from __future__ import annotations
 
@@ -134,7 +131,7 @@ def write_overlay(
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
     shown = islice(pairs, 0, None, every)
     logarithms = {
-        name: _logarithm(values / a.units.factor(_SERIES[name][2]))[::every] for name, values in series.items()
+        name: logarithm(values / a.units.factor(_SERIES[name][2]))[::every] for name, values in series.items()
     }
     layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
     extent: CameraFit | None = None
@@ -152,8 +149,8 @@ def write_overlay(
         ]
         clock = begin(writer, _TEXT, "\n".join(lines) + "\n", a, title, {"b": b.path.name, "verdict": text})
         colours = fixed_colours(a)[: len(radius)]
-        writer.log(_A, _spheres(radius, colours, names, FillMode.Solid))
-        writer.log(_B, _spheres(_HALO * radius, colours, names, FillMode.MajorWireframe))
+        writer.log(_A, spheres(radius, colours, names, FillMode.Solid))
+        writer.log(_B, spheres(_HALO * radius, colours, names, FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
         for path, name, dimension, colour in _SERIES.values():
             writer.log(path, curve_style(_heading(name, dimension, a.units), colour))
@@ -194,14 +191,15 @@ def _send(
     send_times(writer, index, [pair.time for pair in batch])
 
 
-def _logarithm(values: FloatArray) -> FloatArray:
+def logarithm(values: FloatArray) -> FloatArray:
     """Return log₁₀; zeros become gaps in the line."""
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.log10(values)
     return np.where(np.isfinite(logarithm), logarithm, np.nan)
 
 
-def _spheres(radius: FloatArray, colours: ColourArray | None, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
+def spheres(radius: FloatArray, colours: ColourArray | None, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
+    """Draw bodies as spheres of these radii, (n,) m."""
     return rr.Ellipsoids3D.from_fields(
         half_sizes=np.repeat(radius.astype(np.float32), 3).reshape(-1, 3),
         colors=colours,
@@ -347,7 +345,7 @@ def _send_trajectories(
     writer.send_columns(bodies, index, columns)
     if own is not None:
         wires = f"world/{name}/wires"
-        writer.log(wires, _spheres(_HALO * radius, np.full(n, colour, np.uint32), [name] * n, FillMode.MajorWireframe))
+        writer.log(wires, spheres(_HALO * radius, np.full(n, colour, np.uint32), [name] * n, FillMode.MajorWireframe))
         centres = rr.Ellipsoids3D.columns(centers=position.reshape(-1, 3)).partition(np.full(count, n))
         writer.send_columns(wires, index, centres)
     if n <= PATHS_UP_TO:
@@ -373,83 +371,3 @@ def _entity(name: str) -> str:
     """Make a name that needs no escapes in an entity path."""
     words = "".join(character if character.isascii() and character.isalnum() else " " for character in name).split()
     return "-".join(words) or "as-written"
-
-
-_BODIES, _FORK = "world/bodies", "fork"
-_BAND = (
-    ("spread/low", "5 %", palette.LINES["grey"]),
-    ("spread/median", "median", palette.LINES["red"]),
-    ("spread/high", "95 %", palette.LINES["blue"]),
-)
-_CHANCE = (
-    ("outcome/low", "95 %, from", palette.LINES["grey"]),
-    ("outcome/probability", "probability", palette.LINES["red"]),
-    ("outcome/high", "95 %, to", palette.LINES["grey"]),
-)
-# shades for ranges of the ratio of spread to radius, a factor of ten each, from known to unknown
-_SHADES = np.array([0x56B4E9FF, 0x7FC8E8FF, 0xA9DCE5FF, 0xF0E442FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)
-_SURE = 1e-5  # ratio of spread to radius at which the first shade ends
-
-
-@dataclass(frozen=True, slots=True)
-class Forecast:
-    """The content of the drawing."""
-
-    title: str
-    text: str  # Markdown
-    time: FloatArray  # (k,) s
-    position: FloatArray  # (k, n, 3) m
-    spread: FloatArray  # (k, n) m, spread of each body
-    band: FloatArray  # (3, k) m, distances: percentile 5, median and percentile 95
-    chances: FloatArray  # (c, 4) times of forks (s), and the probability of the outcome: low, measured, high
-
-
-def shades(spread: FloatArray, radius: FloatArray) -> ColourArray:
-    """Return colours of bodies by the spread of their positions (m), from blue, known, to red, unknown."""
-    with np.errstate(divide="ignore"):
-        decade = np.ceil(np.log10(spread / (_SURE * radius)))
-    place = np.clip(np.nan_to_num(decade, nan=0.0, neginf=0.0), 0, len(_SHADES) - 1).astype(np.int64)
-    colours: ColourArray = _SHADES[place]
-    return colours
-
-
-def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
-    """Write a recording for the viewer; raises RecordingError if it cannot be written."""
-    radius, origin, steps = recording.bodies.radius, recording.origin, list(range(len(forecast.time)))
-    count = [len(radius)] * len(steps)
-    shown = forecast.position - origin
-    camera = CameraFit(radius, shown[0], motion=CameraMotion.STILL)
-    camera.look(shown)
-    application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
-    with Writer(out, application, str(uuid.uuid4())) as writer:
-        markdown = f"# {literal(forecast.title)}\n\n{forecast.text}"
-        clock = begin(writer, _FORK, markdown, recording, forecast.title, {"b": "fork", "verdict": forecast.title})
-        index = time_columns(clock, steps, forecast.time.tolist())
-        writer.log(_BODIES, _spheres(radius, None, list(recording.bodies.name), FillMode.Solid))
-        for path, name, colour in _BAND:
-            writer.log(path, curve_style(name, colour))
-        colours = np.concatenate([shades(row, radius) for row in forecast.spread])
-        centres = shown.reshape(-1, 3).astype(np.float32)
-        writer.send_columns(_BODIES, index, rr.Ellipsoids3D.columns(centers=centres, colors=colours).partition(count))
-        logarithms = _logarithm(forecast.band / recording.units.factor(LENGTH))
-        for (path, _, _), values in zip(_BAND, logarithms, strict=True):
-            writer.send_columns(path, index, rr.Scalars.columns(scalars=values))
-        for (path, name, colour), values in zip(_CHANCE, forecast.chances.T[1:], strict=True):
-            if len(values):
-                times = forecast.chances[:, 0]
-                chance_index = time_columns(clock, np.searchsorted(forecast.time, times).tolist(), times.tolist())
-                writer.log(path, curve_style(name, colour))
-                writer.send_columns(path, chance_index, rr.Scalars.columns(scalars=values))
-        send_times(writer, index, forecast.time)
-        plots = [_plot(f"{recording.units.labelled('log₁₀ of rms distance', LENGTH)}: median, 5 and 95 %", _BAND)]
-        if len(forecast.chances):
-            plots.append(_plot("Probability of the outcome over the time of the fork", _CHANCE))
-        text = rrb.TextDocumentView(name="Fork", origin=_FORK)
-        panels = rrb.Vertical(*plots, text, row_shares=[3] * len(plots) + [2])
-        heading, drawn = "Bodies by spread: blue is known, red is not", shown[-1]
-        send_beside_bodies(writer, heading, [_BODIES], camera, panels, recording.units, drawn, radius)
-        writer.flush()
-
-
-def _plot(name: str, curves: tuple[tuple[str, str, int], ...]) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=name, origin="/", contents=[path for path, _, _ in curves], axis_x=whole_time())

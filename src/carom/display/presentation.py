@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pyarrow as pa
-import rerun as rr
 
 from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.display.close_up import close_up
 from carom.display.legend import (
-    GRAPH,
     LegendContents,
     LegendLine,
     MovieClock,
@@ -22,8 +19,9 @@ from carom.display.legend import (
     impact_marks,
     legend,
 )
-from carom.display.letters import apart, beyond, drawable
-from carom.display.margins import Margins, margins
+from carom.display.letters import drawable
+from carom.display.margins import margins
+from carom.display.moment_arrows import arrow_tips, drawn_arrows, numbers_apart
 from carom.display.motion_marks import motion_marks
 from carom.display.request import (
     Request,
@@ -45,15 +43,10 @@ from carom.recording.layout import (
     blueprint,
     bodies_area,
     close_up_area,
-    graph_area,
-    graph_eye,
     graph_name,
-    has_graph,
     hidden_arrows,
 )
-from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.canvas import Additions, CameraMotion, Canvas
-from carom.recording.layout.drawing import REACH, single
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import names_of, tolerance
 from carom.recording.read.named_events import NamedEvent, Pair, named_event, named_pair, pair_of_extreme
@@ -62,8 +55,8 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header, TimeScale, viewer_time
 from carom.recording.timelines import STEP
-from carom.recording.write.encoder import BatchEncoder, state_rows
-from carom.recording.write.rows import NO_STEPS, Index, Rows, vector_column
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.rows import NO_STEPS, Index, Rows, state_rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.units.dimension import TIME
@@ -265,8 +258,8 @@ def presentation(
         moment=True,
         marks=marks,
     )
-    arrows = _drawn_arrows(header, recording.origin, paused, references, hidden_arrows(header, added))
-    added = replace(added, tips=_arrow_tips(arrows))
+    arrows = drawn_arrows(header, recording.origin, paused, references, hidden_arrows(header, added))
+    added = replace(added, tips=arrow_tips(arrows))
     if canvas.rendered and only in _PLOTS:
         title = [*([header.title] if drawable(header.title) else []), written]
         for row, static in caption(title, canvas.theme, span[0]):
@@ -276,7 +269,7 @@ def presentation(
     past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
     visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
     placed = margins(laid_out, staging.camera, canvas, only, added, words, field, visible, radius)
-    rows += _numbers_apart(laid_out, staging.camera, canvas, only, placed, arrows)
+    rows += numbers_apart(laid_out, staging.camera, canvas, only, placed, arrows)
     statics += placed.statics
     statics += motion_marks(header, recording.origin, placed.view, placed.area, paused.time)
     statics += arrow_styles(header, canvas.theme)
@@ -402,67 +395,6 @@ def _instant(
         if rows.path != paths.IMPACT_SPINS
     ]
     return found, dict(encoder.arrow_references)
-
-
-def _drawn_arrows(
-    header: Header,
-    origin: FloatArray,
-    shown: ShownStep,
-    references: Mapping[str, float],
-    hidden: Sequence[str],
-) -> Sequence[Rows]:
-    """Return the rows of the arrows of a step, or an instant, of few bodies; nothing if the step is not known."""
-    frame, state = shown.frame, shown.state
-    if frame is None or header.bodies > FEW:
-        return ()
-    encoder = BatchEncoder(header, origin, references, everything=True)
-    found = encoder.rows([frame]) if state is None else encoder.at_impacts([state])
-    return [rows for rows in found if rows.path in REACH and rows.path not in hidden]
-
-
-def _arrow_tips(arrows: Sequence[Rows]) -> FloatArray | None:
-    """Return the ends (k, 3) m of arrows, and the places of the numbers beside them; None without arrows."""
-    if not arrows:
-        return None
-    tips = [_vectors(rows, "Arrows3D:origins") + _vectors(rows, "Arrows3D:vectors") for rows in arrows]
-    found = np.concatenate([*tips, *(_vectors(rows, paths.NUMBERS_AT) for rows in arrows)])
-    return np.asarray(found[np.isfinite(found).all(axis=1)])
-
-
-def _values(rows: Rows, component: str) -> pa.Array:
-    """Return the values of a component in all rows; none if the rows lack it."""
-    columns = (column for column in rows.columns if str(column.component_descriptor()) == component)
-    return next((column.as_arrow_array().flatten() for column in columns), pa.array([]))
-
-
-def _vectors(rows: Rows, component: str) -> FloatArray:
-    """Return the vectors (k, 3) of a component."""
-    values = _values(rows, component)
-    return np.asarray(values.flatten().to_numpy() if len(values) else np.zeros(0), dtype=np.float64).reshape(-1, 3)
-
-
-def _numbers_apart(
-    header: Header, camera: CameraFit, canvas: Canvas, only: str, placed: Margins, arrows: Sequence[Rows]
-) -> Iterator[Rows]:
-    """Move the numbers beside the arrows of a moment apart, and into the view of the contacts."""
-    if only not in (ALL, GRAPH) or not has_graph(header):
-        return
-    area = placed.area if only == GRAPH else graph_area(header, canvas, placed.added.close is not None)
-    view = placed.view if only == GRAPH else graph_eye(header, camera, area, placed.added)
-    numbered = [rows for rows in arrows if rows.path in paths.PARALLEL and len(_values(rows, paths.NUMBERS))]
-    if not numbered:
-        return
-    places = np.concatenate([_vectors(rows, paths.NUMBERS_AT) for rows in numbered])
-    texts = [text for rows in numbered for text in _values(rows, paths.NUMBERS).to_pylist()]
-    seen = np.flatnonzero(np.array([bool(text) for text in texts]) & np.isfinite(places).all(axis=1))
-    ways = np.concatenate([_vectors(rows, "Arrows3D:vectors") for rows in numbered])
-    if len(ways) == len(places):
-        places[seen] = beyond(places[seen], ways[seen], [texts[k] for k in seen], view, area)
-    places[seen] = apart(places[seen], [texts[k] for k in seen], view, area)
-    ends = np.cumsum([len(_values(rows, paths.NUMBERS)) for rows in numbered])
-    for rows, moved in zip(numbered, np.split(places, ends[:-1]), strict=True):
-        column = vector_column(rr.ComponentDescriptor(paths.NUMBERS_AT), single(moved), len(moved))
-        yield Rows(rows.path, rows.index._replace(impacts=NO_STEPS), [column])
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:

@@ -32,7 +32,9 @@ from carom.arrays import FloatArray, IntArray, Records
 from carom.contact_table import IMPACT_MODE, NO_ROWS
 from carom.physics.schedule import every
 from carom.physics.space import Space
+from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
+from carom.scene.wording import Names
 from carom.state.frame import Frame
 
 LASTS = 4  # steps after which a pressing contact carries a load; the force that stops a slow impact ends sooner
@@ -44,7 +46,27 @@ TURNED = 0.01  # rad or sizes: change, in a step, of a torque that resists rolli
 FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
 SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
 
+MOST_IMPACTS = 3  # most impacts that a message lists
+
 Pair = tuple[int, int]  # numbers of two bodies; numbers from n on are planes and walls
+Impacts = tuple[tuple[str, float], ...]  # names of both ends, and closing speed in m/s
+
+
+class Spaces:
+    """Makes spaces of a scene from its start, and restores them to states of the run."""
+
+    def __init__(self, scene: Scene, start: InitialBodies, threads: int | None, check_interval: float | None) -> None:
+        self.scene, self.start = scene, start
+        self._threads, self._check_interval = threads, check_interval
+
+    def space(self, stride: float = 1.0, contacts: bool = False, max_dt: float | None = None) -> Space:
+        """Make a space whose steps are ``stride`` times as long, and at most ``max_dt`` seconds."""
+        scene = self.scene
+        if max_dt is not None:
+            scene = scene.model_copy(update={"time": scene.time.model_copy(update={"max_dt": max_dt})})
+        space = Space(scene, self._threads, self.start, stride, record_contacts=contacts)
+        space.check_interval = self._check_interval
+        return space
 
 
 class Load(NamedTuple):
@@ -132,6 +154,15 @@ class CloseLook:
                 vague=2.0 * sum(share for ends, share in self.run.vague.items() if bodies & set(ends)),
             )
         return self._known[label]
+
+    def impacts_of(self, body: int, names: Names) -> tuple[Impacts, Impacts]:
+        """Return the first impacts of a body in the interval, in the run and with shorter steps."""
+        found: list[Impacts] = []
+        for run in (self.run, self.refined):
+            rows = [row for row in run.impacts if body in (row["i"], row["j"])][:MOST_IMPACTS]
+            met = ((names.pair((int(row["i"]), int(row["j"]))), float(row["approach_speed"])) for row in rows)
+            found.append(tuple(met))
+        return found[0], found[1]
 
     def may_share_otherwise(self, touching: Touching, before: Frame, frame: Frame, refined: Frame) -> bool:
         """Return whether several contacts acted, and both runs have the same energy within the allowance for loads."""

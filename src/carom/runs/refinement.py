@@ -21,7 +21,8 @@ from carom.physics.simulation import StepStatus
 from carom.recording.read.lookup import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
-from carom.runs.shorter_steps import Comparison, Moved, Spaces, forget_overlap
+from carom.runs.close_look import Spaces
+from carom.runs.shorter_steps import Comparison, Moved, forget_overlap
 from carom.runs.window import checkpoint_before
 from carom.scene.load import Scene
 from carom.scene.start import names_of_solids

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from carom.errors import PhysicsError, RecorderError, RecordingError
+from carom.errors import PhysicsError, RecorderError, RecordingError, status_of
 from carom.event import Event
 from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
 from carom.physics.simulation import StepStatus
@@ -23,7 +23,7 @@ from carom.recording.read.frame_rows import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember, motions_of
-from carom.recording.write.recorder import FrameRecorder, status_of
+from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import Claim, claimed_output, default_output, refuse_name
 from carom.runs.environment import Interrupts, collecting_garbage_rarely, environment
 from carom.runs.outcome import EACH, ONCE_A_STEP, Verdict, closing_of, description, judge

@@ -26,9 +26,7 @@ from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.physics.vector import minimum_images
 from carom.plan.auto import integrator
-from carom.runs.close_look import LASTS, SURFACE, CloseLook, look_closely
-from carom.scene.load import Scene
-from carom.scene.start import InitialBodies
+from carom.runs.close_look import LASTS, SURFACE, CloseLook, Impacts, Spaces, look_closely
 from carom.scene.units.dimension import OF_UNIT, TIME, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
@@ -53,11 +51,8 @@ AT_REST = 1e-6  # speed, relative to the largest, below which bodies are compare
 EPS = float(np.finfo(np.float64).eps)
 
 CALLED = {"position": "distance covered", "velocity": "velocity", "spin": "speed of the surface"}
-MOST_IMPACTS = 3  # most impacts that a message lists
 
 FRICTION, FORCES, CORRECTED = 1, 2, -1  # indices of ledger entries: see `_entries`
-
-Impacts = tuple[tuple[str, float], ...]  # names of both ends, and closing speed in m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,23 +90,6 @@ class Moved:
                 listed = [f"{names} at {units.text(speed, VELOCITY, '.3g')}" for names, speed in impacts]
                 lines.append(f"impacts {told}: {', '.join(listed) or 'none'}")
         return "; ".join(lines)
-
-
-class Spaces:
-    """Makes spaces of a scene from its start, and restores them to states of the run."""
-
-    def __init__(self, scene: Scene, start: InitialBodies, threads: int | None, check_interval: float | None) -> None:
-        self.scene, self.start = scene, start
-        self._threads, self._check_interval = threads, check_interval
-
-    def space(self, stride: float = 1.0, contacts: bool = False, max_dt: float | None = None) -> Space:
-        """Make a space whose steps are ``stride`` times as long, and at most ``max_dt`` seconds."""
-        scene = self.scene
-        if max_dt is not None:
-            scene = scene.model_copy(update={"time": scene.time.model_copy(update={"max_dt": max_dt})})
-        space = Space(scene, self._threads, self.start, stride, record_contacts=contacts)
-        space.check_interval = self._check_interval
-        return space
 
 
 def _reached(space: Space, time: float) -> Frame:
@@ -382,7 +360,7 @@ class Comparison:
                 self._note(name, by, allowed)
                 if by > allowed or lacks:
                     values = self._size(name, body, frame), self._size(name, body, fine), by, allowed
-                    met = _impacts_of(body, look, self._names)
+                    met = look.impacts_of(body, self._names)
                     called = self._names.of(body)
                     moved = Moved(CALLED[name], before.time, frame.time, (body,), called, *values, unit, *met)
                     guilty.append((by / allowed, moved))
@@ -472,12 +450,3 @@ def _entries(energy: Energy) -> tuple[tuple[str, ...], FloatArray]:
     named = [("restitution", ledger.restitution), ("friction", ledger.friction), *ledger.forces]
     named.append(("stabilisation", ledger.stabilisation))
     return tuple(name for name, _ in named), np.array([value for _, value in named])
-
-
-def _impacts_of(body: int, look: CloseLook, names: Names) -> tuple[Impacts, Impacts]:
-    """Return the first impacts of a body in an interval, in the run and with shorter steps."""
-    found: list[Impacts] = []
-    for run in (look.run, look.refined):
-        rows = [row for row in run.impacts if body in (row["i"], row["j"])][:MOST_IMPACTS]
-        found.append(tuple((names.pair((int(row["i"]), int(row["j"]))), float(row["approach_speed"])) for row in rows))
-    return found[0], found[1]

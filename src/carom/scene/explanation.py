@@ -279,3 +279,31 @@ def naming_places(scene: SceneModel) -> Iterator[None]:
         if scene.places is None or not error.key:
             raise
         raise SceneError(f"{scene.places.of(error.key)}{error}") from None
+
+
+def meant_by(error: str, before: str, after: str) -> str:
+    """Return a remedy for a text that is not TOML; empty if none is known.
+
+    Parameters are the message of the parser, and the text before and after the mistake in its line.
+    """
+    twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
+    section = SceneModel.model_fields.get(twice[1]) if twice else None
+    if twice and section and members_of_list(section.annotation):
+        return f"write each of several sections as [[{twice[1]}]]"
+    if twice:
+        return f"merge the two sections [{twice[1]}]"
+    if error.startswith("Cannot overwrite a value"):
+        return "a key is given twice"
+    ends_with_digit = re.search(r"[=\[,{\s][-+]?\d[\d_.eE+-]*\s*$", before) is not None
+    if ends_with_digit and re.match(r",\d", after):
+        return "write a decimal point, not a comma"
+    if ends_with_digit and re.match(r"\.(?!\d)", after):
+        return "write a digit after the point, such as 1.0"
+    if ends_with_digit and re.match(r"\s*[A-Za-zµ°]", after):
+        return 'write a quantity in quotes, as in "3 km"'
+    if re.match(r"[-+]?\.\d", after):
+        return "write a digit before the point, such as 0.5"
+    if boolean := re.match(r"(?i:true|false)\b", after):
+        return f"write {boolean[0].lower()}, without a capital"
+    word = re.match(r"[A-Za-z][\w-]*", after) if re.search(r"[=\[,]\s*$", before) else None
+    return f'write text in quotes, as in "{word[0]}"' if word else ""

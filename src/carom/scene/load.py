@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
 from carom.errors import SceneError
-from carom.scene.conversion import converted, members_of_list, unit_system
+from carom.scene.conversion import converted, unit_system
 from carom.scene.data.body_columns import columns_of_arrays
 from carom.scene.data.body_sources import (
     BodySource,
@@ -28,7 +28,7 @@ from carom.scene.data.body_sources import (
     Wanted,
 )
 from carom.scene.data.orbital_elements import Centre
-from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
+from carom.scene.explanation import explain, is_known, meant_by, not_a_quantity, with_words, written_path
 from carom.scene.file_statements import LAW, compare_facts, take_over_laws
 from carom.scene.matter import body_mass, made_of, material_called
 from carom.scene.overrides import OldNameWarning, apply_override, apply_overrides, old_names
@@ -224,40 +224,13 @@ def _parse(text: str, source: str) -> dict[str, Any]:
         if at:
             line_of_mistake, column = text.split("\n")[int(at[1]) - 1], int(at[2]) - 1
             before, after = line_of_mistake[:column], line_of_mistake[column:]
-        meant = _meant(str(error)) or _meant_value(before, after)
+        meant = meant_by(str(error), before, after)
         raise SceneError(f"{place}: not TOML: {error}{f'; {meant}' if meant else ''}") from None
     except RecursionError:
         raise SceneError(f"{source}: {_TOO_DEEP}") from None
     if is_too_deep(data):
         raise SceneError(f"{source}: {_TOO_DEEP}")
     return data
-
-
-def _meant(error: str) -> str:
-    """Return a remedy for a message of the parser; empty if none is known."""
-    twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
-    if twice and members_of_list(Scene.model_fields[twice[1]].annotation if twice[1] in Scene.model_fields else None):
-        return f"write each of several sections as [[{twice[1]}]]"
-    if twice:
-        return f"merge the two sections [{twice[1]}]"
-    return "a key is given twice" if error.startswith("Cannot overwrite a value") else ""
-
-
-def _meant_value(before: str, after: str) -> str:
-    """Return a remedy for a value that is not TOML, given the text before and after the mistake in its line."""
-    ends_with_digit = re.search(r"[=\[,{\s][-+]?\d[\d_.eE+-]*\s*$", before) is not None
-    if ends_with_digit and re.match(r",\d", after):
-        return "write a decimal point, not a comma"
-    if ends_with_digit and re.match(r"\.(?!\d)", after):
-        return "write a digit after the point, such as 1.0"
-    if ends_with_digit and re.match(r"\s*[A-Za-zµ°]", after):
-        return 'write a quantity in quotes, as in "3 km"'
-    if re.match(r"[-+]?\.\d", after):
-        return "write a digit before the point, such as 0.5"
-    if boolean := re.match(r"(?i:true|false)\b", after):
-        return f"write {boolean[0].lower()}, without a capital"
-    word = re.match(r"[A-Za-z][\w-]*", after) if re.search(r"[=\[,]\s*$", before) else None
-    return f'write text in quotes, as in "{word[0]}"' if word else ""
 
 
 def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> Scene:

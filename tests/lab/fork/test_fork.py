@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import carom
-from carom.display.overlays import shades
+from carom.display.forecast import shades
 from carom.errors import ExperimentError
 from carom.lab.fork.branch import Branch, PerturbedResult, PerturbedTask, by_seed, execute, outcome_of, start_of
 from carom.lab.fork.fork import Chance, Ensemble, chances, ensemble, fork, inevitable, judge, text_of, write_ensemble

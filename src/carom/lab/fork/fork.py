@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.display.overlays import Forecast, write_forecast
+from carom.display.forecast import Forecast, write_forecast
 from carom.lab.diff.diff import Diff, diff, overlay
 from carom.lab.diff.divergence import DistanceCurve, Divergence, divergence_of
 from carom.lab.fork.branch import Branch, BranchPath, ForkStart, PerturbedResult, PerturbedTask, path_of

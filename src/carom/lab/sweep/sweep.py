@@ -15,14 +15,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from carom import registry
-from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
+from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError, status_of
 from carom.lab.sweep import sweep_table as table
 from carom.lab.sweep.manifest import DONE, FAILED, PENDING, Folder, Manifest, SweepRun, clear, move
 from carom.lab.sweep.plan import SEED, Plan, SweepPoint, digest
 from carom.physics.jit import cores
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
-from carom.recording.write.recorder import status_of
 from carom.recording.write.whole_file import output_folder
 from carom.registry import ExtensionError
 from carom.runs.environment import Interrupts, versions

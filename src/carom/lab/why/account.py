@@ -1,16 +1,25 @@
-"""`Account`: the velocity of a body as the sum of its start velocity, impulses of contacts, and forces."""
+"""`Account`: the velocity of a body as the sum of its start velocity, impulses of contacts, and forces.
+
+`chain_of` finds the strongest path back through its causes.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, Records
-from carom.lab.why.cone import Flow
+from carom.lab.why.cone import Cone, Flow, Passage
 from carom.lab.why.history import History, Step
 
 _AT_REST = 1e-3  # largest speed of a body at rest, relative to the sum of |J|/m that holds the body in a step
+
+# The chain of causes: the strongest path back from the bodies of the question.
+MOST_LINKS = 50
+_WEAKEST = 0.1  # fraction of the share that led to a body; if every impact has less, the body's own motion is the cause
+_AT_ONCE = 0.5  # weight of an impact at the same instant as the impact after it, since their order is unknown
 
 
 @dataclass(slots=True)
@@ -244,3 +253,65 @@ def impacts_by_step(history: History) -> dict[int, Records]:
     impacts = history.impacts
     steps, first = np.unique(impacts["step"], return_index=True)
     return dict(zip(steps.tolist(), np.split(impacts, first[1:]), strict=True)) if len(impacts) else {}
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """An impact that gave a body its velocity, or in which an end at rest turned the body round."""
+
+    step: int
+    instant: int  # number of the instant within the step; impacts of one instant act together
+    time: float  # s
+    body: int
+    by: int  # the end that acted; numbers from n on are planes and walls
+    impulse: float  # N s
+    share: float  # share of the answer that passed from `by` to `body`
+    turned: float = 0.0  # share of the answer that `by` turned round without giving speed
+    turns: bool = False  # whether the impact is in the chain because it turned the body round
+
+
+def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
+    """Return the impacts of the chain, the latest first; none if no impact passed on a tenth of the answer.
+
+    From each body, the chain follows the earlier impact with the largest share of the answer, until the body's own
+    motion has a larger share. Impacts in between that turned the body round are also links; they lead back to the
+    motion of the same body.
+    """
+    left = list(cone.passages)
+    links: list[Link] = []
+    current, share, followed = set(bodies), 1.0, 0
+    while followed < MOST_LINKS:
+        earlier = [(place, link) for place, p in enumerate(left) for link in _links_to(current, p)]
+        place, found = max(earlier, key=lambda each: each[1].share, default=(0, None))
+        least = _AT_ONCE if found and followed and _moment(found) == _moment(links[-1]) else _WEAKEST
+        if found is not None and found.share < least * share:
+            found = None
+        turns = [
+            replace(link, turns=True)
+            for number, link in earlier
+            if link.turned >= _WEAKEST * share and (found is None or (link.body == found.body and number < place))
+        ]
+        if found is None and turns:  # if the question names two bodies, turns of only one of them count
+            body = max(turns, key=lambda link: link.turned).body
+            turns = [link for link in turns if link.body == body]
+        links += turns
+        if found is None:
+            break
+        links.append(found)
+        if found.by >= cone.count:  # a wall that moves on its own
+            break
+        followed, current, share = followed + 1, {found.by}, found.share
+        left = [p for number, p in enumerate(left) if _moment(p) <= _moment(found) and number != place]
+    return links
+
+
+def _links_to(bodies: set[int], passage: Passage) -> Iterator[Link]:
+    """Yield an impact as a link to each end that is among the given bodies."""
+    for body, by, net in ((passage.i, passage.j, passage.net), (passage.j, passage.i, -passage.net)):
+        if body in bodies:
+            at = passage.step, passage.instant, passage.time
+            yield Link(*at, body, by, passage.impulse, net, passage.turned)
+
+
+def _moment(impact: Passage | Link) -> tuple[int, int]:
+    return impact.step, impact.instant

@@ -13,8 +13,8 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import ExperimentError, RecordingError
-from carom.lab.why.account import Account, impacts_by_step, impulses_on
-from carom.lab.why.cone import Cone, Edge, Link, chain_of
+from carom.lab.why.account import Account, Link, chain_of, impacts_by_step, impulses_on
+from carom.lab.why.cone import Cone, Edge
 from carom.lab.why.history import History, Question, Step, Watcher, recorded_history
 from carom.recording.read.lookup import goal_of, tolerance
 from carom.recording.read.recording import Recording

@@ -14,7 +14,6 @@ from rerun import ComponentColumn
 
 from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.errors import RecorderError
-from carom.event import Event
 from carom.physics.contact.graph import colour_bodies
 from carom.physics.frame_store import FrameStore
 from carom.physics.vector import minimum_images
@@ -42,8 +41,10 @@ from carom.recording.write.rows import (
     Index,
     Rows,
     any_column,
+    event_rows,
     line_column,
     plain_column,
+    state_rows,
     vector_column,
 )
 from carom.recording.write.wall_places import moving_walls, piston_rows, wall_rows
@@ -418,19 +419,6 @@ def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> Flo
         lying: FloatArray = getattr(store, name)[first : first + len(batch)]
         return lying
     return np.stack([getattr(frame, name) for frame in batch])
-
-
-def state_rows(path: str, index: Index, states: Sequence[str]) -> Rows:
-    """Return one row for each change of a state, such as the phase."""
-    return Rows(path, index, list(rr.StateChange.columns(state=states)))
-
-
-def event_rows(events: Sequence[Event]) -> Rows:
-    """Return one row of the log for each event."""
-    log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-    columns = [*log, any_column("kind", [e.kind for e in events])]
-    index = Index(np.array([e.step for e in events]), np.array([e.time for e in events]))
-    return Rows(paths.EVENTS, index, columns)
 
 
 def refuse_wrong_arrays(header: Header, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> None:

@@ -13,7 +13,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.errors import DamageError, DroppedRunWarning, RecorderError, RecordingError
+from carom.errors import DroppedRunWarning, RecorderError, RecordingError, status_of
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame_store import FrameStore
@@ -27,9 +27,10 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import BOOKS_BYTES, size
 from carom.recording.schema.header import Header, Scalar, TimeScale, viewer_time
 from carom.recording.write.durable_sink import AddressReserve
-from carom.recording.write.encoder import BatchEncoder, event_rows
+from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.impact_plan import DRAWN_BYTES, TURNED_BYTES
 from carom.recording.write.partial_frames import Lives
+from carom.recording.write.rows import event_rows
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 from carom.recording.write.whole_file import name_until_whole
 from carom.state.frame import Frame
@@ -162,9 +163,8 @@ _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s of frames that a killed run may lo
 _QUEUE_BYTES = 64_000_000
 _BODY_BYTES, _FRAME_BYTES = 300, 2000  # most bytes of memory of a waiting frame: for each body, and for the rest
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
-_LAID_OUT_AFTER = (
-    1_000_000  # bytes; smaller or shorter recordings get a blueprint only at the end, since it takes 10 ms
-)
+# bytes; smaller or shorter recordings get a blueprint only at the end, since it takes 10 ms
+_LAID_OUT_AFTER = 1_000_000
 
 
 def waiting_frames(bodies: int, queue_size: int | None = None) -> tuple[int, int, int]:
@@ -176,12 +176,6 @@ def waiting_frames(bodies: int, queue_size: int | None = None) -> tuple[int, int
     # the memory of a frame is reused once it has left the queue, the batch being written, and `_last`; a frame being
     # copied already has a place in the queue
     return room, batch, max(room, batch) + batch + 1
-
-
-def status_of(error: RecordingError) -> str:
-    """Return the status of a run whose recording failed: "error" for a program or a damaged file, else "disk"."""
-    damaged = isinstance(error, DamageError) or isinstance(error.__cause__, DamageError)
-    return "error" if damaged or isinstance(error, RecorderError) else "disk"
 
 
 class FrameRecorder:
@@ -359,10 +353,13 @@ class FrameRecorder:
     def _begin(self, position: FloatArray) -> BatchEncoder:
         """Send all static data; for a resumed run, then send the frames that it continues."""
         self._addresses.release()
-        continued = self._continued
+        continued, entries = self._continued, self.header.entries
+        if entries is not None:  # the view should contain the places where waiting bodies enter
+            position = entries.position
+        elif continued is not None:
+            position = continued.recording.checkpoint(continued.recording.checkpoint_steps[0]).position
         if continued is not None:
-            first = continued.recording.checkpoint_steps[0]
-            position, origin = self._seen_first(continued.recording.checkpoint(first).position), continued.origin
+            origin = continued.origin
             self._encoder = BatchEncoder(
                 *(self.header, origin, continued.arrow_references, continued.last_state, continued.last()),
                 impacts_before=continued.impacts,
@@ -371,7 +368,6 @@ class FrameRecorder:
             if continued.frames:
                 self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
-            position = self._seen_first(position)
             there = np.isfinite(position).all(axis=1)  # if bodies come and go, some do not exist yet
             origin = np.average(position[there], axis=0, weights=self.header.mass[there])
             self._encoder = BatchEncoder(self.header, origin)
@@ -383,10 +379,6 @@ class FrameRecorder:
             self._stream.send_continued(continued)
             self.frames = continued.frames
         return self._encoder
-
-    def _seen_first(self, position: FloatArray) -> FloatArray:
-        """Return the first positions that the view should contain; for waiting bodies, the places where they enter."""
-        return position if self.header.entries is None else self.header.entries.position
 
     def _look(self, batch: list[Frame], origin: FloatArray) -> None:
         """Update the camera; send a first layout early, for a live viewer and for a run that is killed."""

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, Int32Array, IntArray, SingleArray
+from carom.event import Event
 from carom.recording.read.entities import plain
+from carom.recording.schema import paths
 from carom.recording.schema.header import TimeScale
 from carom.recording.timelines import IMPACT, SIM_TIME, STEP
 from carom.state.frame import Frame
@@ -183,3 +185,16 @@ def joined(batches: Sequence[Rows]) -> Rows:
     ]
     index = Index(*(np.concatenate(arrays) for arrays in zip(*(rows.index for rows in batches), strict=True)))
     return Rows(first.path, index, columns)
+
+
+def state_rows(path: str, index: Index, states: Sequence[str]) -> Rows:
+    """Return one row for each change of a state, such as the phase."""
+    return Rows(path, index, list(rr.StateChange.columns(state=states)))
+
+
+def event_rows(events: Sequence[Event]) -> Rows:
+    """Return one row of the log for each event."""
+    log = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+    columns = [*log, any_column("kind", [e.kind for e in events])]
+    index = Index(np.array([e.step for e in events]), np.array([e.time for e in events]))
+    return Rows(paths.EVENTS, index, columns)
