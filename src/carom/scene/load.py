@@ -295,7 +295,7 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
 
 
 def _folder_of(source: BodySource | None) -> Path | None:
-    """Return the folder to which names of files are relative; None for the scene of a recording, which reads none."""
+    """Return the folder to which names of files are relative; None for the scene of a recording, without files."""
     if source is not None and not isinstance(source, DataFiles | HeldBodies):
         return None
     files = source.files if isinstance(source, HeldBodies) else source

@@ -193,7 +193,7 @@ def value_text(value: Any) -> str:
 
 
 def _string(text: str) -> str:
-    """Quote text: TOML escapes the same characters as JSON, and DEL; others would steer a terminal that prints them."""
+    """Quote text: TOML escapes the same characters as JSON, and DEL; unescaped, they would steer a terminal."""
     text.encode()  # raises if the text has half a character
     return escaped(json.dumps(text, ensure_ascii=False))
 

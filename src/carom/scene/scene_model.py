@@ -131,12 +131,12 @@ class SceneModel(Forces, Heading):
 
     @property
     def anchored(self) -> bool:
-        """Whether there are planes, walls, fixed bodies or bodies that wait, which absorb momentum or bring it."""
+        """Whether something absorbs or brings momentum: planes, walls, fixed bodies, or bodies that wait."""
         return bool(self.plane or self.wall or self.domain.walled) or self.has_fixed_bodies or self.admits
 
     @property
     def driving_field(self) -> tuple[float, float, float]:
-        """The components of `gravity.uniform` along periodic axes, m/s²; the others are 0."""
+        """The components of `gravity.uniform` along periodic axes, m/s²; other components are 0."""
         x, y, z = (g if axis in self.domain.repeating else 0.0 for axis, g in enumerate(self.gravity.uniform))
         return x, y, z
 
@@ -194,7 +194,7 @@ class SceneModel(Forces, Heading):
             raise ValueError("contact.sleep with a [drag]: a medium may move sleeping bodies; remove one of them")
         if self.promise is not None and self.time.accuracy is None:
             raise ValueError("a [promise] without time.accuracy; carom writes it, so remove it")
-        # bodies that fall along a periodic axis must meet resistance
+        # bodies that fall along a periodic axis must meet some resistance
         along = [axis for axis in self.domain.repeating if self.gravity.uniform[axis]]
         if along and not self.anchored and self.drag is None:
             if isinstance(self.domain.boundary, tuple):
@@ -415,8 +415,8 @@ def refuse_what_admits_no_bodies(scene: SceneModel) -> None:
 def know_installed_parts() -> None:
     """Add a field for each force, contact law and shape of walls to the models that hold its section.
 
-    Parts are added when a scene is first used, not when this module is imported, since modules of these parts import
-    it.
+    Parts are added when a scene is first used, not when this module is imported, since the modules of the parts import
+    this module.
     """
     surfaces: tuple[type[Section], ...] = (ContactSettings, Material, MaterialPair, SolidPlane, Wall)
     parts: tuple[tuple[str, tuple[str, ...], tuple[type[Section], ...], list[str]], ...] = (

@@ -85,7 +85,7 @@ class HalfSpaces:
 
     @property
     def has_facets(self) -> bool:
-        """Whether a wall consists of facets, with which contacts are."""
+        """Whether a wall consists of facets, which are then the ends of contacts."""
         return False
 
     @property
@@ -105,12 +105,12 @@ class HalfSpaces:
 
     @property
     def guided(self) -> Any:
-        """The plane or wall that contacts move; None without one."""
+        """The planes that contacts move; None without any."""
         return None
 
     @property
     def takes_colours(self) -> bool:
-        """Whether contacts move a plane or wall, so that each of its contacts has a colour."""
+        """Whether contacts move a plane or wall, so that all its contacts need colours of their own."""
         return self.guided is not None
 
     @property
@@ -120,7 +120,7 @@ class HalfSpaces:
 
     @property
     def press_alone(self) -> bool:
-        """Whether nothing but curves and accelerations of walls presses bodies onto them."""
+        """Whether only the curvature or the acceleration of walls presses bodies onto them."""
         return False
 
     @property
@@ -143,7 +143,7 @@ class HalfSpaces:
         return start
 
     def heights_before(self, position: FloatArray) -> FloatArray:
-        """Return the heights as the step began."""
+        """Return the heights at the beginning of the step."""
         return self.heights(position)
 
 

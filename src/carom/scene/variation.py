@@ -14,14 +14,14 @@ from carom.scene.scene_file import parse_value
 
 Values = tuple[Any, ...]  # TOML values: numbers, strings, booleans, lists
 
-MOST_RUNS = 100_000  # a million runs took 8 GB and ten minutes before the first began
+MOST_RUNS = 100_000  # most runs; a million runs took 8 GB and ten minutes before the first run began
 TOO_MANY_RUNS = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNIT = r"[^\s:,\d\"'\[{][^:,\"'\[{]*?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*({_UNIT})?\s*:\s*({_NUMBER})\s*({_UNIT})?\s*:\s*(\d+)\s*(log)?\s*")
 _LIKE_RANGE = re.compile(rf"\s*{_NUMBER}\s*(?:{_UNIT})?\s*:.*")
 _EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
-_DIGITS = 12  # significant digits of a value in a range: 0.3, not 0.30000000000000004
+_DIGITS = 12  # significant digits of a value in a range, which give 0.3, not 0.30000000000000004
 
 
 def values_of(text: str) -> Values:
@@ -36,7 +36,7 @@ def values_of(text: str) -> Values:
 
 
 def texts_of(text: str) -> list[str]:
-    """Read the same values, each as text."""
+    """Read the values of a key as texts; see `values_of`."""
     if matched := _RANGE.fullmatch(text):
         return [value if isinstance(value, str) else repr(value) for value in _range(text, *matched.groups())]
     return _parts(text)
@@ -130,7 +130,7 @@ def _range(
     if log and not (low > 0.0 and high > 0.0):
         raise ValueError(f'"{text}": equal ratios need two ends above 0')
     if log:
-        ratio = math.log(high) - math.log(low)  # their quotient may overflow
+        ratio = math.log(high) - math.log(low)  # the quotient of both ends may overflow
         inner = [low * math.exp(ratio * step / steps) for step in range(1, steps)]
     else:
         inner = [low + (high - low) * step / steps for step in range(1, steps)]

@@ -30,7 +30,7 @@ class Mesh(NamedTuple):
 
 
 class Facets(NamedTuple):
-    """The flat parts of a wall; contacts with each are those of a wall of its own."""
+    """The flat parts of a wall; for contacts, each facet is a wall of its own."""
 
     triangles: FloatArray  # (f, 3, 3) m, their corners
     fields: Mapping[str, FloatArray]  # (f,) each, the fields of p by name, in SI units
@@ -45,12 +45,12 @@ def depends_on_all(section: Any, axis: int, period: float) -> Mapping[str, float
 class WallShape:
     """A shape of a wall.
 
-    carom compiles ``nearest`` with Numba, like the functions of a `carom.extend.BodyForce`. Where a shape needs kernels
-    of its own, ``nearest`` and ``touches`` are "module:function", so that reading a scene loads no compiler.
+    carom compiles ``nearest`` with Numba, like the functions of a `carom.extend.BodyForce`. If a shape needs kernels of
+    its own, ``nearest`` and ``touches`` are texts "module:function", so that reading a scene loads no compiler.
 
-    The last result of ``nearest``, the focal distance, bounds the curvature. In a ball of that radius about the point,
-    a level surface of the distance that curves towards the bodies has its centres of curvature outside the ball. The
-    focal distance is infinite if no level surface curves towards the bodies.
+    The last result of ``nearest``, the focal distance, bounds the curvature. If a level surface of the distance curves
+    towards the bodies, its centres of curvature are farther from the point than the focal distance. The focal distance
+    is infinite if no level surface curves towards the bodies.
     """
 
     section: type[Any]  # section in a scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
@@ -58,7 +58,7 @@ class WallShape:
     # from the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance
     # in m
     mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → the wall within about reach of centre
-    fields: tuple[str, ...]  # of p
+    fields: tuple[str, ...]  # names of the fields of p
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # (section) → the fields by name, in SI units
     flat: bool = False  # whether no level surface curves towards the bodies, so that the focal distance is infinite
     thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative
@@ -67,7 +67,7 @@ class WallShape:
     periodic: Callable[[Any, int, float], Mapping[str, float] | None] = depends_on_all  # (section, axis, period in m)
     # → the fields to change where space repeats along an axis; None if the distance then depends on that coordinate
     facets: Callable[[Any], Facets] | None = None  # (section) → the facets of a wall that consists of many; ``nearest``
-    # then is that of a facet
+    # is then the function of a single facet
     touches: Callable[..., bool] | str | None = None  # (surface, facet, x, y, z) → whether the wall's point nearest to
     # (x, y, z) belongs to this facet and to no neighbour; ``surface`` has p of each facet, and ``facet`` is its number
     read: Callable[[Path, str], str] | None = None  # (path, its name in messages) → the content of the file that the
@@ -77,7 +77,7 @@ class WallShape:
 
 
 def function_of(given: Callable[..., Any] | str) -> Callable[..., Any]:
-    """Return a function of a shape, given itself or as "module:function"."""
+    """Return a function of a shape, given as the function itself or as "module:function"."""
     function: Callable[..., Any] = registry.imported(given) if isinstance(given, str) else given
     return function
 
@@ -90,12 +90,13 @@ def shape_called(name: str) -> WallShape:
 
 def unit_vector(direction: tuple[float, float, float]) -> FloatArray:
     """Return a direction with length 1, (3,)."""
-    scaled = np.array(direction) / np.max(np.abs(direction))  # first by the largest component, which cannot overflow
+    # first divided by the largest component, so that nothing can overflow
+    scaled = np.array(direction) / np.max(np.abs(direction))
     return np.asarray(scaled / np.sqrt((scaled * scaled).sum()))
 
 
 def across(axis: FloatArray) -> FloatArray:
-    """Return a unit vector at right angles to another, (3,)."""
+    """Return a unit vector at right angles to ``axis``, (3,)."""
     other = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     return np.asarray(other / np.sqrt((other * other).sum()))
 

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import overload
 
 MOST_LISTED = 8  # most bodies that a sentence lists by name
-MOST_QUOTED = 80  # characters of a quoted text that is not a name
-MOST_TOLD = 1000  # characters of the text of an error
+MOST_QUOTED = 80  # most characters of a quoted text that is not a name
+MOST_TOLD = 1000  # most characters of the text of an error
 _PLAIN_WORD = re.compile("[A-Za-z0-9][A-Za-z0-9.+!_-]{0,79}")  # characters of packages' names and versions
 # control characters except tab and line feed, marks of the direction of writing, and lone surrogates
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -34,9 +34,10 @@ def _is_like_an_option(word: object) -> bool:
 
 
 def command_of_a_file(text: str) -> str:
-    """Return a command line from a file: unchanged if it is a single command with its words, else as one quoted word.
+    """Return a command line from a file: unchanged if it is a single plain command, otherwise as one quoted word.
 
-    A shell that somebody pastes it into then starts nothing else: no second command, substitution or redirection.
+    If somebody pastes the line into a shell, the shell starts nothing else: no second command, substitution or
+    redirection.
     """
     try:
         words = shlex.split(text)
@@ -51,7 +52,7 @@ def in_one_line(text: str) -> str:
 
 
 def told_by(error: BaseException) -> str:
-    """Return the text of another program's error in one line, even if making the text raises an error, too."""
+    """Return the text of another program's error in one line, even if making the text raises another error."""
     try:
         return in_one_line(str(error)[:MOST_TOLD])
     except BaseException as other:
@@ -74,7 +75,7 @@ def literal(text: str) -> str:
 
 
 def in_figure(text: str) -> str:
-    """Return a text of a file as one line for matplotlib, which reads what stands between two ``$`` as a formula."""
+    """Return a text of a file as one line for matplotlib, which reads a text between two ``$`` as a formula."""
     return in_one_line(text).replace("$", r"\$")
 
 
@@ -84,7 +85,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Name the most similar known name, and list all known ones."""
+    """Name the most similar known name, and list all known names."""
     known = list(known)
     if not known:
         return "there is none"

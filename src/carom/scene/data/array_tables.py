@@ -343,7 +343,7 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _diameters_of(shapes: Raw, kinds: Raw) -> FloatArray | None:
-    """Return the diameters of spheres from the shapes of their types, one JSON text a row; None for other shapes."""
+    """Return the diameters of spheres from the shapes of their types, a JSON text per row; None for other shapes."""
     try:
         texts = [bytes(row.astype(np.uint8)).rstrip(b"\0") for row in shapes]
         of_type = [json.loads(text) if text else {} for text in texts]

@@ -64,7 +64,7 @@ class FileBox(NamedTuple):
 
 @dataclass(frozen=True)
 class Facts:
-    """Statements of a file about its numbers, besides the names of columns; empty where it states nothing."""
+    """Statements of a file about its numbers, besides the names of columns; empty if it states nothing."""
 
     units: UnitSystem = SI  # units of the columns that state no unit, for some dimensions or for all
     of_columns: Mapping[str, str] = field(default_factory=dict)  # units of single columns, as the file writes them

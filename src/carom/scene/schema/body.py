@@ -26,7 +26,7 @@ from carom.scene.schema.quantity import (
 from carom.scene.schema.release import Release
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, TIME, VELOCITY
 
-SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
+SOLID = 2 / 5  # moment of inertia of a solid sphere, divided by m r²
 
 
 class Matter(Section):
@@ -51,7 +51,7 @@ class Matter(Section):
 
     @property
     def inertia_ratio(self) -> float:
-        """Moment of inertia over m r²."""
+        """Moment of inertia divided by m r²."""
         return SOLID if self.inertia_factor is None else self.inertia_factor
 
     @model_validator(mode="after")
@@ -224,7 +224,7 @@ class BodyData(Matter):
         return self.file or "the arrays"
 
     def is_like(self, other: BodyData) -> bool:
-        """Return whether both describe the same bodies; names and digests may differ."""
+        """Return whether two tables describe the same bodies; names and digests may differ."""
         return all(
             getattr(self, key) == getattr(other, key)
             for key in type(self).model_fields
@@ -232,7 +232,7 @@ class BodyData(Matter):
         )
 
 
-STEEPEST = 300  # largest ratio of radii in decades, for a power of them
+STEEPEST = 300  # largest ratio of radii in decades, if they are distributed by a power law
 LATTICES = ("cubic", "fcc", "hcp")
 
 

@@ -29,7 +29,7 @@ from carom.scene.units.dimension import ACCELERATION, DENSITY, GRAVITATIONAL_CON
 from carom.scene.wording import suggestion
 
 DEFAULT = "default"  # name of the material that [contact] describes
-STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, about as for dry stone
+STATIC, KINETIC = 0.6, 0.4  # default coefficients of friction, roughly for dry stone
 BODY_COLOURS = ("sky-blue", "clay", "indigo", "mint", "olive", "sage", "rose")  # colours that no arrow and no edge has
 COLOURS = (*BODY_COLOURS, "orange", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
@@ -86,7 +86,7 @@ class InstalledForces(Section):
 
     @property
     def given(self) -> dict[str, Any]:
-        """The sections of the scene by the names of their forces, in alphabetical order."""
+        """The scene's sections of forces by name, in alphabetical order."""
         return {name: section for name, section in sorted(self) if section is not None}
 
 
@@ -110,7 +110,7 @@ class Forces(Section):
 
 
 def section_of(kind: str, name: str) -> Any:
-    """Return the section's model for a part of an installed package; it states why a part cannot be loaded."""
+    """Return the model of the section for a part of an installed package; it states why a part cannot be loaded."""
     try:
         section = registry.load(kind, name).section
         if section is not None and not (isinstance(section, type) and issubclass(section, Section)):
@@ -134,8 +134,8 @@ class Coefficients(NamedTuple):
 def combined(one: Coefficients, other: Coefficients) -> Coefficients:
     """Return the coefficients of a contact of two materials: the smaller restitution, the mean friction.
 
-    The mean is geometric, as in Box2D: friction is 0 if one of the two is smooth. A material keeps its own coefficients
-    against itself, to the last bit.
+    The mean is geometric, as in Box2D: friction is 0 if one of the two is smooth. In contacts of a material with
+    itself, its own coefficients hold to the last bit.
     """
     if one == other:
         return one
@@ -317,7 +317,7 @@ class ContactSettings(Section):
     @model_validator(mode="before")
     @classmethod
     def _follow_the_given_friction(cls, data: Any) -> Any:
-        """Adapt the default of one coefficient if it contradicts the given one."""
+        """Adapt the default of one coefficient if it contradicts the given coefficient."""
         if not isinstance(data, dict):
             return data
         static, kinetic = data.get("static_friction"), data.get("kinetic_friction")
@@ -358,7 +358,7 @@ class ContactSettings(Section):
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """The names of the contact laws, without Coulomb's; none if Coulomb's is the only one."""
+        """The names of the contact laws, without Coulomb's; empty if only Coulomb's law applies."""
         names = [self.law] if isinstance(self.law, str) else self.law
         return tuple(name for name in dict.fromkeys(names) if name != DEFAULT_LAW)
 
@@ -383,5 +383,5 @@ KNOWN_LAWS: list[str] = []  # contact laws that have a section; see `know_instal
 
 
 def law_sections(holder: Surface | ContactSettings) -> list[str]:
-    """Return the names of the contact laws that have a section here."""
+    """Return the names of the contact laws that have a section in ``holder``."""
     return [name for name in KNOWN_LAWS if getattr(holder, name, None) is not None]

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from carom.scene.schema.quantity import ORIGIN, Positive, Section, Vector
 from carom.scene.units.dimension import LENGTH
 
-LENGTHS = {  # lengths that each shape of a region requires, and further ones that it allows
+LENGTHS = {  # lengths that each shape of a region requires, and further lengths that it allows
     "ball": (("radius",), ()),
     "box": (("size",), ()),
     "cylinder": (("radius", "height"), ()),

@@ -13,7 +13,8 @@ from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
 
 # promises that apply only to a run of the promised duration
 ABOUT_THE_END = ("final_kinetic", "impacts", "most_impacts", "state")
-STATES = {"position": LENGTH, "velocity": VELOCITY, "angular_velocity": ANGULAR_VELOCITY}  # that theory may state
+# quantities that theory may state
+STATES = {"position": LENGTH, "velocity": VELOCITY, "angular_velocity": ANGULAR_VELOCITY}
 
 
 class ExpectedState(Section):
@@ -133,7 +134,7 @@ class Promise(Section):
         return self.looked is not None and self.kept_until > self.looked
 
     def error_at(self, time: float) -> float:
-        """Return the expected error at a time (s), over the size of the system; 1 where it is unknown."""
+        """Return the expected error at a time (s), relative to the size of the system; 1 if it is unknown."""
         known = self.until if self.looked is None else max(self.looked, self.kept_until)
         if self.looked is not None and time > known:
             return 1.0

@@ -22,9 +22,9 @@ AnyReal = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _Sized]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), _Sized]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _Sized]
-Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # dimensionless: other units cannot change its size
+Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # dimensionless, so units cannot change its size
 Name = Annotated[str, Field(strict=True, min_length=1)]
-MOST = 2**53  # a float represents each whole number below it, and the counters of kernels hold it
+MOST = 2**53  # largest count: a float represents each smaller whole number, and the counters of kernels can hold it
 Count = Annotated[int, Field(strict=True, ge=1, lt=MOST)]
 Vector = tuple[Real, Real, Real]
 ORIGIN: Vector = (0.0, 0.0, 0.0)

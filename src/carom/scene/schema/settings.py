@@ -47,7 +47,7 @@ class Units(Section):
 
 
 def _installed_or_own(value: Any, own: ValidatorFunctionWrapHandler) -> Any:
-    """Accept the name of an integrator of an installed package; others must be carom's own."""
+    """Accept the name of an integrator of an installed package; other names must be carom's own."""
     if isinstance(value, str) and value not in (AUTO, *INTEGRATORS) and value in registry.installed("integrators"):
         try:
             return integrator_called(value).name
@@ -63,7 +63,7 @@ else:
 
 
 LARGEST_ACCURACY = 1e-2
-_STEP_KEYS = {  # keys of [time] that set the step, and defaults with which they do not
+_STEP_KEYS = {  # keys of [time] that set the step, and the values with which they do not set it
     "fixed_dt": None,
     **dict.fromkeys(("target_dx", "cfl", "pull_fraction", "smoothing"), "auto"),
     "velocity_limit": "every-body",

@@ -10,7 +10,7 @@ from carom.scene.schema.contact import Surface
 from carom.scene.schema.motion import WallMotion
 from carom.scene.wall_shapes import shape_called
 
-KNOWN_SHAPES: list[str] = []  # see `know_installed_parts`
+KNOWN_SHAPES: list[str] = []  # shapes that have a section; see `know_installed_parts`
 
 
 class Wall(Surface):

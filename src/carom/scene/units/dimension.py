@@ -101,12 +101,12 @@ ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
 DIMENSIONS: Sequence[Dimension] = [each for each in list(globals().values()) if isinstance(each, Dimension)]
 NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # dimensions by the key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
-# an energy, which has the same exponents, takes the place of a torque
+# by exponents, with an energy in place of a torque, which has the same exponents
 OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}
 
 
 def written_names(defined: Iterable[str]) -> Iterator[str]:
-    """Yield all names of the defined units: their own, with prefixes, and in the plural."""
+    """Yield all names of the defined units: plain names, names with prefixes, and plurals."""
     for name in defined:
         takes_s = name in _SHORT or (len(name) > 3 and name.islower() and not name.endswith(_IRREGULAR))
         for prefixed in (name, *(f"{prefix}{name}" for prefix in _TAKEN.get(name, ()))):
@@ -115,7 +115,7 @@ def written_names(defined: Iterable[str]) -> Iterator[str]:
                 yield f"{prefixed}s"
 
 
-# names of units in data files of astropy, AMUSE, unyt, MDAnalysis and the Exoplanet Archive: carom's names
+# carom's names of units, by the names in data files of astropy, AMUSE, unyt, MDAnalysis and the Exoplanet Archive
 _FOREIGN = {
     **dict.fromkeys(("Msun", "MSun", "solMass"), "M_sun"),
     **dict.fromkeys(("Mearth", "MEarth", "earthMass"), "M_earth"),
@@ -126,7 +126,7 @@ _FOREIGN = {
     **{"Angstrom": "angstrom", "u": "dalton", "Da": "dalton"},
 }
 
-LONGEST = 80  # characters up to which a text is read
+LONGEST = 80  # most characters of a text that is read
 DEFINITIONS = Path(__file__).with_name("definitions.txt")
 
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -144,7 +144,7 @@ _BESIDE = re.compile(r"(?<=[\w°)])\s+(?=[^\W\d]|[°(])")  # the space between t
 
 
 class UnitError(ValueError):
-    """A text is not a unit, or not one of the expected dimension."""
+    """A text is not a unit, or not a unit of the expected dimension."""
 
 
 class UnknownUnitError(UnitError):
@@ -162,7 +162,7 @@ class UnknownUnitError(UnitError):
 class Unit:
     """A unit: its exact size in SI, and its dimension."""
 
-    size: Fraction  # in SI units
+    size: Fraction  # size in SI units
     exponents: Exponents
 
     @property
@@ -175,7 +175,7 @@ class Unit:
 def unit(text: str) -> Unit:
     """Read a unit such as "km", "g/cm^3", "m s⁻²" or "solar mass".
 
-    Raises `UnitError` if the text is not a unit; the message names the most similar one.
+    Raises `UnitError` if the text is not a unit; the message names the most similar unit.
     """
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
     written = _PER_ONE.sub(r"\1^-1", written)
@@ -196,11 +196,11 @@ def unit(text: str) -> Unit:
 
 
 def unit_of(text: str, dimension: Dimension) -> Unit:
-    """Read a unit of a dimension; raises `UnitError` if the text is not a unit, or one of another dimension."""
+    """Read a unit of a dimension; raises `UnitError` if the text is no unit, or has another dimension."""
     try:
         known = unit(text)
     except UnknownUnitError as error:
-        if error.name != text.strip():  # a unit in a product, which may have any dimension
+        if error.name != text.strip():  # the unknown name is part of a product, and may have any dimension
             raise
         alike = set(written_names(name for name in names() if unit(name).exponents == dimension.exponents))
         raise UnknownUnitError(error.name, alike if _nearest(error.name, alike) else _written()) from None
@@ -240,7 +240,7 @@ def _with_signs(written: str) -> str:
 
 
 def _joined(text: str) -> str:
-    """Join words that form one name, such as "solar mass", by an underscore."""
+    """Join words that form a single name, such as "solar mass", by underscores."""
     known = set(names())
     return _WORDS.sub(lambda pair: f"{pair[1]}{'_' if f'{pair[1]}_{pair[2]}' in known else ' '}", text)
 
@@ -305,9 +305,9 @@ def _parts(text: str) -> re.Match[str] | None:
 class Physical(NamedTuple):
     """A quantity of any dimension."""
 
-    size: Fraction  # in SI
+    size: Fraction  # size in SI
     unit: Unit
-    unit_text: str  # as written
+    unit_text: str  # unit as written
 
 
 def physical(text: str) -> Physical | None:
@@ -323,7 +323,7 @@ def physical(text: str) -> Physical | None:
 
 
 def nearest_float(value: Fraction) -> float:
-    """Return the nearest double; infinity beyond the largest, which a scene refuses like any other infinity."""
+    """Return the nearest double; infinity beyond the largest double, which a scene refuses like any infinity."""
     try:
         return float(value)
     except OverflowError:

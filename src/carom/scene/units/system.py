@@ -32,7 +32,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """Units by their keys in [units]; SI where none is given.
+    """Units by their keys in [units]; SI if no unit is given.
 
     By default, a scene is simulated and recorded in SI, and plain numbers are converted. With `own`, the scene is
     simulated and recorded in its own units, without conversion.
@@ -43,7 +43,7 @@ class UnitSystem:
 
     @classmethod
     def of_text(cls, text: str) -> UnitSystem:
-        """Read ``units = "au, day, solar mass"``; raises `UnitError` if these are not a length, a time and a mass."""
+        """Read ``units = "au, day, solar mass"``; raises `UnitError` unless these are a length, a time and a mass."""
         if text.strip() == WITHOUT:
             return cls({dimension.plain: "" for dimension in OWN}, own=True)
         given: dict[str, str] = {}
@@ -119,7 +119,7 @@ class UnitSystem:
             return number
         try:
             return nearest_float(Fraction(float.__repr__(float(number))) * self.size(dimension))
-        except (ValueError, OverflowError):  # the result is not finite: the schema will refuse it
+        except (ValueError, OverflowError):  # the result is not finite, so the schema will refuse it
             return number
 
     def literal(self, number: float, dimension: Dimension) -> str:
