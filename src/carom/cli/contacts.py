@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
     from carom.terminal.answers import Part
 
-MOST_ROWS = 40  # printed in the table
+MOST_ROWS = 40  # most rows printed in the table
 _ROUNDING = 1e-9  # relative rounding of the normal impulse and of its work at the approach speed
-FORMATS = (".parquet", ".csv")  # of files
-FIGURES = (".png", ".svg")  # of statistics
+FORMATS = (".parquet", ".csv")  # suffixes of files
+FIGURES = (".png", ".svg")  # suffixes of figures of statistics
 
 _MEASURED = {  # heading and dimension of a column of the table
     "approach_speed": ("approach", VELOCITY),
@@ -129,7 +129,7 @@ def _table(
     end: OptionalTime,
     again: bool,
 ) -> pa.Table:
-    """Return the contacts of the recording that concern the bodies."""
+    """Return the recording's contacts that involve the bodies."""
     from carom.errors import RecordingError
     from carom.recording.read.lookup import names_of, shown_body
     from carom.recording.read.recorded_contacts import of_body
@@ -242,7 +242,7 @@ def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:
 
 
 def _source(table: pa.Table) -> str:
-    """Describe the source of the rows, and missing rows."""
+    """Describe the source of the rows, and say if rows are missing."""
     about = table.schema.metadata
     left_out = int(about.get(b"left_out", 0))
     more = f"; {left_out} smaller impacts were not recorded, list them with --replay" if left_out else ""
@@ -257,7 +257,7 @@ def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[
 
     names = names_of(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
-    if at is not None:  # impacts have times of their own within the step
+    if at is not None:  # impacts have their own times within the step
         moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
     note = "" if at is None else _named_faults(recording, at)
     if not recording.engine:
@@ -294,7 +294,7 @@ def _parts(recording: Recording, table: pa.Table, at: OptionalTime) -> Iterator[
 
 
 def _without_rounding(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row in which friction and energies that are rounding of the normal impulse are 0."""
+    """Return a row in which friction and energies are 0 if they are rounding of the normal impulse."""
     impulse, approach = row["normal_impulse"], row["approach_speed"] or 0.0
     zeros: dict[str, float] = {}
     if row["tangential_impulse"] is not None and row["tangential_impulse"] <= _ROUNDING * impulse:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 NOT_RECORDED = "not recorded, or lost"
-AROUND = 20  # frames in a clip around a moment
+AROUND = 20  # number of frames in a clip around a moment
 
 Row = tuple[str, str | Iterable[str]]  # a name, and the text or texts printed beside it
 
@@ -45,7 +45,7 @@ def inspect(
     mention_killed_run(file)
     with opened(file) as path:
         recording = Recording.open(path)
-        units, is_overlay = recording.units, recording.is_overlay  # both need the unpacked bundle
+        units, is_overlay = recording.units, recording.is_overlay  # both are read while the bundle is unpacked
         if is_overlay:  # the runs in a comparison, and the verdict
             summary = {"title": recording.title, **recording.overlaid}
         else:
@@ -184,7 +184,7 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
         at, begin, end, length = (units.shown(time, TIME) for time in (moment.time, *span, window))
         yield f"{moment.text}, in step {moment.step}, to t = {units.text(moment.time, TIME)}"
         when = ("--event", moment.name) if moment.name == "impact" else ("--at", f"{at:.9g}")
-        yield "    " + command("view", file, *when)  # the impact's own time may be within the step
+        yield "    " + command("view", file, *when)  # the time of the impact may be within the step
         yield "    " + command("clip", file, "--around", f"{at:.9g}", "--window", f"{length:.3g}")
         if summary["scene"].get("engine") or summary.get("clip", {}).get("partial"):
             continue

@@ -74,7 +74,7 @@ COMMANDS: dict[str, dict[str, str]] = {  # panel → command → module:function
 }
 
 
-_HELP = "help"  # `carom help COMMAND` is `carom COMMAND --help`
+_HELP = "help"  # `carom help COMMAND` means `carom COMMAND --help`
 
 
 def _be_quiet(wanted: bool) -> None:
@@ -106,7 +106,8 @@ class Command(TyperCommand):
 
     def __init__(self, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
-        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")  # Typer joins lines in the first paragraph only
+        # lines are joined here, since Typer joins only the lines of the first paragraph
+        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")
         self.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
 
     def get_params(self, ctx: Any) -> list[Any]:
@@ -120,7 +121,7 @@ class Command(TyperCommand):
 
 
 class _Commands(Mapping[str, Any]):
-    """The commands by name, each made on its first use."""
+    """The commands by name; a command is made on its first use."""
 
     def __init__(self) -> None:
         self._places = {name: (panel, home) for panel, row in COMMANDS.items() for name, home in row.items()}
@@ -187,7 +188,7 @@ class CommandGroup(TyperGroup):
             def broken() -> None:
                 raise refusal
 
-            broken.__doc__ = escape(str(error))  # the message stands in for its help, which is rich markup
+            broken.__doc__ = escape(str(error))  # the message replaces the help of the command, which is rich markup
             return _made(cmd_name, broken, EXTENSIONS)
 
 
@@ -244,7 +245,7 @@ def main() -> NoReturn:
         code = ending.code
         if received() and code == _INTERRUPTED:
             leave()
-    except BaseException:  # an interrupted import may raise anything
+    except BaseException:  # an interrupted import may raise any exception
         if received():
             leave()
         raise
@@ -324,7 +325,7 @@ def run_command() -> None:
         if isinstance(error, MemoryError) or "can't start new thread" in str(error):
             typer.echo("carom: out of memory; use fewer bodies or raise the memory limit (`ulimit -v`)", err=True)
             sys.exit(1)
-        if "Too many open files" in str(error):  # also Rerun's RuntimeError
+        if "Too many open files" in str(error):  # Rerun raises a RuntimeError with this text
             typer.echo("carom: too many files are open; raise the limit (`ulimit -n`)", err=True)
             sys.exit(1)
         if not isinstance(error, (SceneError, RecordingError, ExperimentError, PhysicsError)):
@@ -373,7 +374,8 @@ def replace_streams() -> Lossy:
 
     Characters that the encoding of a terminal lacks are printed as question marks.
     """
-    for descriptor in range(3):  # a recording must not get the descriptor of standard error, to which libraries print
+    # a recording must not get the descriptor of standard error, since libraries print to it
+    for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:

@@ -79,7 +79,7 @@ def clip(
 def _interval(
     units: UnitSystem, start: OptionalTime, end: OptionalTime, around: OptionalTime, window: OptionalTime
 ) -> tuple[float, float]:
-    """Return the start and the end of the interval, from either pair of options."""
+    """Return the start and the end of the interval, from --start and --end or from --around and --window."""
     from math import inf
 
     from carom.errors import RecordingError
@@ -129,7 +129,8 @@ def repair(
     if in_place and torn.exists() and not force:
         raise RecordingError(f"{torn}: exists, from an earlier repair; move it away, or give --force to replace it")
     refuse_output(path, force or in_place)
-    with Claim(file) if in_place else nullcontext():  # a running simulation's file looks like a killed one's
+    # claimed, since the file of a running simulation looks like the file of a killed one
+    with Claim(file) if in_place else nullcontext():
         done = mend(file, path)
         if in_place and done.path is not None:
             file.replace(torn)
@@ -179,7 +180,7 @@ def export(
         recording.refuse_overlay()
         with replaying(recording) as watch:
             steps, when = snapshots(recording, given.end(recording, watch), everything=everything, watch=watch), ""
-            if not everything:  # a moment stands for the whole step that contains it
+            if not everything:  # a moment means the whole step that contains it
                 one = next(steps)
                 steps, when = iter([one]), f", t = {recording.units.text(one.time, TIME, '.9g')}"
             written, count = write(output, steps, everything)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 NAMED = 3  # most descriptions of uncompared data that are printed
 ASKS_ABOVE = 60.0  # s, the longest replay that needs no consent
-NEARLY_ALL = 0.995  # fraction of the motion that prints as 100 %, and is not mentioned
+NEARLY_ALL = 0.995  # a larger fraction of the motion prints as 100 %, and is not mentioned
 _CHECKS = "Check energy and momentum every N steps. Default: as the scene says."
 
 
@@ -91,7 +91,7 @@ def naming_the_repair(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        if path.exists():  # there is no file before the first step
+        if path.exists():  # before the first step there is no file
             say(f"carom: {path} may lack its footer; `{command('repair', path)}` writes it", err=True)
         raise
 

@@ -85,7 +85,7 @@ def new(
     if given.option:
         raise SceneError(f"{given.option} selects a state of a recording: name its file with --from")
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
-    if source and source not in bundled:  # "cradle" stands for "newtons-cradle"
+    if source and source not in bundled:  # "cradle" also finds "newtons-cradle"
         matches = [name for name in bundled_scenes() if source in name]
         if len(matches) != 1:
             raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
@@ -231,7 +231,8 @@ def _steps(cost: Cost, scene: Scene) -> str:
             f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= HALF_A_PERCENT)
-    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # no remedy if the integrator's own error sets the step
+    # there is no remedy if the integrator's own error sets the step
+    remedy = remedies_of(scene).get(next(iter(cost.limits)))
     return f"{count}\n  set by: {shares}" + (f"; for fewer steps, raise {remedy}" if remedy else "")
 
 

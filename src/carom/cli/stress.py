@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from carom.scene.load import Scene
 
 
-PIPE_WIDTH = 140  # width of the table in characters where the output is not a terminal
+PIPE_WIDTH = 140  # width of the table in characters if the output is not a terminal
 _FOLDER = Path("recordings/stress")
 
 
@@ -44,7 +44,7 @@ class Trial:
 
     @property
     def status(self) -> str:
-        """The outcome, in a word or two."""
+        """The outcome in one or two words."""
         return self.outcome.status if self.outcome else "refused"
 
     @property
@@ -59,7 +59,7 @@ class Trial:
 
     @property
     def worst(self) -> dict[str, Extreme]:
-        """The worst times by missed criterion; for an incomplete run, its end."""
+        """The worst times, by missed criterion; for an incomplete run, the time of its end."""
         from carom.state.books import Extreme
 
         extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
@@ -118,7 +118,7 @@ def stress(
                 trials.append(attempt(short, scene, folder, watch=progress.update))
             if trials[-1].status == "interrupted":
                 break
-    except KeyboardInterrupt:  # between two runs; an interrupted run reports its own end
+    except KeyboardInterrupt:  # the interrupt came between two runs; an interrupted run reports its end itself
         pass
     met = sum(trial.met for trial in trials)
     if as_json:

@@ -189,7 +189,7 @@ def picture(
 
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
-    """Note that a plot of velocities takes as long as the run did."""
+    """Tell that a plot of velocities takes as long to compute as the run did."""
     from carom.display.supplement import asked_quantities, needs_replay
     from carom.recording.read.recording import Recording
 
@@ -264,8 +264,8 @@ def publish(
     say(f"    python3 -m http.server --bind 127.0.0.1 -d {shlex.quote(str(folder))}")
 
 
-LONGEST = 3600.0  # s, of a movie
-FASTEST = 120.0  # pictures a second
+LONGEST = 3600.0  # s, longest movie
+FASTEST = 120.0  # most pictures per second
 GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers play GIFs with more frames per second too slowly
 
 
