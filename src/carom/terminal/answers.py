@@ -19,7 +19,8 @@ from carom.terminal.printing import say, say_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-COLOUR = "colour by material"  # for `colour_by` = "material"; bodies usually have the colour of their group
+# name of the colouring if `colour_by` is "material"; bodies usually have the colour of their group
+COLOUR = "colour by material"
 
 
 class Strong(str):
@@ -35,7 +36,7 @@ class ShownFacts(NamedTuple):
     whole: bool = False  # whether to print numbers indented and, if necessary, in lines wider than the terminal
 
     def lines(self) -> Iterator[tuple[str, str]]:
-        """Yield each line with its name, which is empty for all but the first line of a name."""
+        """Yield each line with its name; only the first line of a name has the name, the others an empty text."""
         for name, texts in self.rows:
             for k, text in enumerate([texts] if isinstance(texts, str) else texts):
                 yield "" if k else name, text
@@ -47,11 +48,11 @@ class ShownColumn(NamedTuple):
     label: str
     value: Callable[[Any], Any]  # value of a cell from its row; None leaves the cell empty
     dimension: Dimension | None = None  # dimension of numbers; without one, values are written as they are
-    form: str = ".4g"  # of numbers
+    form: str = ".4g"  # format of numbers
     left: bool = False  # whether cells are aligned to the left
 
     def cell(self, row: Any, units: UnitSystem) -> str:
-        """Write the value of a row, which is a text, or a number in units of the simulation."""
+        """Write the value of a row: a text, or a number in units of the simulation."""
         value = self.value(row)
         if value is None or isinstance(value, str):
             return value or ""
@@ -64,8 +65,8 @@ class ShownTable(NamedTuple):
     columns: Sequence[ShownColumn]
     rows: Iterable[Any]
     units: UnitSystem = SI
-    indent: bool = False  # by one character
-    keys: int = 0  # number of first columns that tell rows apart
+    indent: bool = False  # whether rows are indented by one character
+    keys: int = 0  # number of leading columns that identify a row
 
     def headings(self) -> list[str]:
         """Return the headings of the columns, with units."""
@@ -97,8 +98,8 @@ class CommandAnswer(NamedTuple):
 def print_parts(parts: Iterable[Part]) -> None:
     """Print lines, facts and tables on the terminal.
 
-    A table is wider than the terminal if necessary. If it has key columns, however, columns that do not fit are in
-    further tables below it, beside the same key columns.
+    A table is wider than the terminal if necessary. If the table has key columns, however, columns that do not fit go
+    into further tables below it, which repeat the key columns.
     """
     for part in parts:
         if isinstance(part, str) and not isinstance(part, Strong):
@@ -175,7 +176,7 @@ def materials_table(materials: Sequence[dict[str, Any]]) -> ShownTable:
     for material in materials:
         first = [material["name"], str(material["bodies"]), material["colour"]]
         for other, coefficients in material["contacts"].items():
-            if other not in listed:  # otherwise it is listed with the other material
+            if other not in listed:  # otherwise the pair is already listed with the other material
                 rows.append([*first, other, *(f"{value:.4g}" for value in coefficients.values())])
                 first = ["", "", ""]
         listed.add(material["name"])

@@ -1,7 +1,7 @@
-"""Announces the compilation of kernels, and has a second process compile others meanwhile.
+"""Announces the compilation of kernels, and lets a second process compile other kernels meanwhile.
 
 This module loads neither Numba nor the physics at its import: on a new installation, the second process starts before
-the run loads them.
+the run loads these modules.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
     try:
         helper = subprocess.Popen(
             [sys.executable, "-P", "-m", "carom.runs.warmup"],
-            stdin=subprocess.PIPE,  # the pipe closes when this process ends
+            stdin=subprocess.PIPE,  # the helper notices the end of this process by the pipe, which then closes
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
@@ -54,9 +54,9 @@ def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
 def announce_compilation(
     say: Callable[[str], None] | None = None, helped: bool = False, scene: Scene | None = None
 ) -> None:
-    """Announce the first compilation of a kernel, by default on stderr, and start a second process for others.
+    """Announce the first compilation of a kernel, by default on stderr, and start a second process for other kernels.
 
-    ``helped`` says that the process already runs. The number of needed kernels depends on the scene.
+    ``helped`` says that the second process already runs. The number of needed kernels depends on the scene.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 
@@ -64,7 +64,7 @@ def announce_compilation(
         from carom.terminal.compilation_progress import CompilationProgress
 
         progress = CompilationProgress(scene, say or note)
-        progress.__enter__()  # until the process ends
+        progress.__enter__()  # the progress is shown until the process ends
         often = "once on this machine" if cache_folder() else f"at every start: {NO_CACHE}"
         (say or note)(f"Compiling kernels, {often}: {progress.counts()} …")
         if not helped and cache_folder():

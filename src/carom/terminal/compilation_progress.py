@@ -1,4 +1,4 @@
-"""The progress of the compilation of kernels: the number of needed kernels that a run has, and the remaining time."""
+"""The progress of the compilation of kernels: the number of ready and of needed kernels, and the remaining time."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from carom.terminal.console import LINE_EVERY, LiveLine, bar
 
 # Numbers of kernels that `kernels_ready` counts at the end of the bundled scenes; `test_compilation_progress.py`
 # compares the numbers.
-POINTS = 11  # without contacts: figure-eight
-IMPACTS = 117  # two-spheres
-FORCES = 145  # the scene in which forces press contacts together: heap
-LEAST = 5  # kernels after which their rate is meaningful
+POINTS = 11  # kernels of scenes without contacts: figure-eight
+IMPACTS = 117  # kernels of scenes in which contacts are impacts: two-spheres
+FORCES = 145  # kernels of scenes in which forces press contacts together: heap
+LEAST = 5  # number of kernels after which their rate is meaningful
 
 
 class CompilationProgress(Compilations):
@@ -37,8 +37,8 @@ class CompilationProgress(Compilations):
         self._needed = FORCES if scene is None else kernels_needed(scene)
         self._say = say
         self._began = self._last_line = time.perf_counter()
-        self._had = kernels_ready()  # at the start
-        self._depth = 0  # kernels in compilation, each for the one before it
+        self._had = kernels_ready()  # number of kernels that were ready at the start
+        self._depth = 0  # number of kernels in compilation; each is needed for the previous one
         LiveLine.interlude = self.interlude
 
     def on_start(self, event: object) -> None:
@@ -55,7 +55,7 @@ class CompilationProgress(Compilations):
         self._depth = max(0, self._depth - 1)  # the event of the first kernel may have been missed
 
     def interlude(self, now: float) -> str:
-        """Return the text that replaces a live line's own at a time of the clock (s); empty between kernels."""
+        """Return the text that replaces the text of a live line, at a time of the clock (s); empty between kernels."""
         ready, needed = self._counts()
         return f"{bar(ready / needed)} {self.text(now)}" if self._depth else ""
 

@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from carom.physics.simulation import StepStatus
     from carom.recording.read.recording import Recording
 
-WIDEST = 10_000  # characters of the width of a table that is printed whole
-LINE_EVERY = 5.0  # s between lines where the output is not a terminal
-BAR = 24  # characters
-# s for a movie at 1280 x 720 on two cores without a graphics card: until the first picture, per picture, and per body
+WIDEST = 10_000  # width, in characters, of a table that is printed whole
+LINE_EVERY = 5.0  # s between lines if the output is not a terminal
+BAR = 24  # characters of a bar
+# s that a movie at 1280 x 720 takes on two cores without a graphics card: until the first picture, per picture, per
+# body
 _STARTING, _PICTURE, _PICTURE_OF_BODY = 8.0, 0.2, 0.001
-PATIENCE = 1.0  # s of work before a line names the work
+PATIENCE = 1.0  # s after which a line names the work
 
 
 class Terminal(Console):
@@ -60,7 +61,8 @@ def print_whole(table: Table) -> None:
 class LiveLine:
     """A line on stderr, rewritten in place on a terminal and printed every few seconds elsewhere."""
 
-    interlude: ClassVar[Callable[[float], str]] = staticmethod(lambda now: "")  # text shown instead, at a time in s
+    # returns a text to show instead, at a time in s
+    interlude: ClassVar[Callable[[float], str]] = staticmethod(lambda now: "")
     is_live: ClassVar[bool] = False  # whether any progress is shown on the terminal
 
     def __init__(self, quiet: bool = False) -> None:
@@ -103,14 +105,14 @@ class LiveLine:
 class Patience(LiveLine):
     """A line on the terminal that names work which takes longer than `PATIENCE`.
 
-    The interlude replaces the line ``beside``. With ``everywhere``, the line is also printed every `LINE_EVERY` where
-    the output is not a terminal.
+    The interlude replaces the line ``beside``. With ``everywhere``, the line is also printed every `LINE_EVERY` if the
+    output is not a terminal.
     """
 
     def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:
         super().__init__()
         self._everywhere = everywhere
-        self._console = beside._console  # text printed on this console appears above this line
+        self._console = beside._console  # texts that are printed on this console appear above the line
         self._text, self._detail = text, ""
         self._timer = threading.Timer(PATIENCE, self._begin)
         self._timer.daemon = True
@@ -172,7 +174,7 @@ class MovieProgress(LiveLine):
     def __init__(self, path: Path, times: FloatArray, units: UnitSystem, bodies: int) -> None:
         super().__init__()
         self._made, self._count = 0, len(times)
-        self._first: float | None = None  # time of the first picture, before which the viewers were starting
+        self._first: float | None = None  # time of the first picture; until then, the viewers were starting
         self._last = 0.0
         frames = len(set(times.tolist()))
         shown = "" if frames == len(times) else f", of {frames} different moments"

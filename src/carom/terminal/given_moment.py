@@ -21,17 +21,17 @@ EventOption = Annotated[str | None, typer.Option("--event", metavar="NAME", help
 
 
 def at_option(default: str) -> Any:
-    """Return the option ``--at`` of a command that takes a moment."""
+    """Return the option ``--at`` for a command that requires a moment."""
     return time_option("--at", f"Simulated time; a time that carom printed selects its step. Default: {default}.")
 
 
 AtOption = Annotated[
     OptionalTime, at_option("the hardest impact or, without any, the most contacts or the end")
-]  # the moment of `Recording.moment`
+]  # default: the moment that `Recording.moment` returns
 
 
 def typed_time_or_none(recording: Recording, given: float | None) -> float | None:
-    """Return `typed_time`; None stays None."""
+    """Return the result of `typed_time`, or None for None."""
     return None if given is None else typed_time(recording, given)
 
 
@@ -39,7 +39,7 @@ def typed_time(recording: Recording, given: float) -> float:
     """Return the time (s) of a recording for a time that was typed.
 
     The moment is the nearest end of a recorded step, or the nearest moment of `carom inspect`, that prints with the
-    same digits; if there is none, it is the time as typed.
+    same digits; otherwise, it is the time as typed.
     """
     time = simulated(given, recording.units)
     if isinstance(given, TypedTime):
@@ -88,7 +88,7 @@ class GivenMoment:
         return typed_time_or_none(recording, self.at)
 
     def end(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:
-        """Return the given time, or the time (s) of an event: the end of its step if that has a frame."""
+        """Return the given time, or the time (s) of an event: the end of its step if this step has a frame."""
         if self.event is None:
             return self.time(recording, watch)
         from carom.recording.read.named_events import named_event

@@ -18,7 +18,7 @@ _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _WORK_TIME = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
 _NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)")
-PRINTED_DIGITS = 6  # fewest digits of a printed time: the default of `UnitSystem.text`
+PRINTED_DIGITS = 6  # fewest digits of a printed time, as `UnitSystem.text` writes them by default
 OptionalTime = float | None  # a result of `seconds`, or None
 
 
@@ -30,7 +30,7 @@ class TypedTime(float):
 
 
 def seconds(text: str | float) -> TypedTime:
-    """Parse a time, or take a default: a plain number, or one with a unit. NaN is refused."""
+    """Parse a time, with or without a unit; a default that is a number is accepted. NaN is refused."""
     text = str(text)
     from carom.scene.units.dimension import UnitError, nearest_float, quantity
 
@@ -90,10 +90,10 @@ def bundled(incomplete: str) -> list[str]:
 
 
 def not_a_folder(path: Path) -> Path:
-    """Return the path of a recording; refuse a folder, since no output can be named after one such as ``.``."""
+    """Return the path of a recording; refuse a folder, since no output can be named after a folder such as ``.``."""
     from carom.errors import RecordingError
 
-    with suppress(OSError):  # for example, a name that is too long is refused when it is opened
+    with suppress(OSError):  # for example, a name that is too long is refused only when it is opened
         if path.is_dir():
             raise RecordingError(f"{path}: a folder, not a recording; give an .rrd file")
     return path

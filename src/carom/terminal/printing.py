@@ -1,6 +1,7 @@
 """Text and JSON on the terminal, and the quantities and tables that several commands print.
 
-These functions need no rich, whose import takes 30 ms: `carom --version` and commands with ``--json`` do without it.
+These functions do not import rich, which would take 30 ms: `carom --version` and commands with ``--json`` do not need
+it.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, escaped
 
-MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # s
+MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # durations in s
 SHOWN = 3  # most printed warnings of one kind; the recording has all of them
 
 
 @dataclass
 class Verbosity:
-    """The output of a command besides its result, as ``-q`` and ``-v`` select."""
+    """The output of a command besides its result, as selected by ``-q`` and ``-v``."""
 
-    is_quiet: bool = False  # no progress and no notes, but warnings and errors
-    is_verbose: bool = False  # errors with their traceback
+    is_quiet: bool = False  # whether only warnings and errors are printed, without progress and notes
+    is_verbose: bool = False  # whether errors are printed with their traceback
 
 
 VERBOSITY = Verbosity()
@@ -102,7 +103,7 @@ def bytes_text(count: float) -> str:
 def warning_lines(warnings: Sequence[Event], units: UnitSystem, *, in_full: bool = False) -> Iterator[str]:
     """Yield the first few warnings of each kind and the number of the others, given all warnings in order of time.
 
-    With ``in_full``, the first warning of each kind has all its lines, which name contacts and bodies.
+    With ``in_full``, the first warning of each kind is printed with all its lines, which name contacts and bodies.
     """
     kinds: dict[str, list[Event]] = {}
     for event in warnings:

@@ -25,10 +25,10 @@ from carom.scene.wording import command, counted
 from carom.terminal.console import LiveLine, Patience, Terminal, bar
 from carom.terminal.printing import bytes_text, duration_text, simulated_text, warning_lines
 
-MANY_STEPS = 10_000_000  # number of steps that takes some 10 s for the fastest ones
-LEAST_FRAMES = 0.9  # fraction of the requested frames; a note says if fewer are recorded
-FEW_STEPS = 1000  # steps without a frame that may all be recorded
-FEW_FRAMES = 0.2  # the same fraction for the automatic number of frames, which nobody requested
+MANY_STEPS = 10_000_000  # number of steps that take at least some 10 s
+LEAST_FRAMES = 0.9  # if less than this fraction of the requested frames is recorded, a note says so
+FEW_STEPS = 1000  # number of steps that may all be recorded
+FEW_FRAMES = 0.2  # as `LEAST_FRAMES`, but for the automatic number of frames, which nobody requested
 
 
 class RunProgress(LiveLine):
@@ -37,7 +37,7 @@ class RunProgress(LiveLine):
     def __init__(self, scene: Scene, quiet: bool = False, heading: str = "") -> None:
         super().__init__(quiet)
         self._scene = scene
-        self._heading = heading  # before the title
+        self._heading = heading  # text before the title
 
     @property
     def units(self) -> UnitSystem:
@@ -51,7 +51,7 @@ class RunProgress(LiveLine):
         self.say(f"{self._heading}{scene.title}: {counted(scene.count, 'body')}, {length}")
         for note in notes_on(scene):
             self.say(note)
-        # the largest allowed step may make the run long, unless another key sets the step
+        # a run may be long because of the largest allowed step, unless another key sets the step
         time, largest = scene.time, largest_step(scene)
         if time.fixed_dt is None and time.accuracy is None and time.duration / largest >= MANY_STEPS:
             longest = scene.unit_system.text(largest, TIME, "g")
@@ -62,13 +62,13 @@ class RunProgress(LiveLine):
         return super().__enter__()
 
     def announce(self, scene: Scene) -> None:
-        """Print the limits of the scene's promise at the step of its accuracy, which may end the run."""
+        """Print the limits of the scene's promise of an accuracy, which may end the run early."""
         self._scene = scene
         if shortfall := shortfall_text(scene):
             self.say(f"carom: {shortfall}")
 
     def forewarn(self, space: Space) -> None:
-        """Say before a long run that it will take long, and why."""
+        """Announce a long run, and why it will take long."""
         if text := forewarning(space):
             self.say(f"carom: {text}")
 
@@ -130,7 +130,8 @@ class RunProgress(LiveLine):
         terminal = Terminal(file=sys.stdout)
         terminal.print(table)
         for label, name in zip_longest(("next",), (*resumed, "view", "inspect", "picture"), fillvalue=""):
-            terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # one line, for copying
+            # in one line, for copying
+            terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)
 
 
 def notes_on(scene: Scene) -> list[str]:
@@ -175,7 +176,7 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     limit = scene.unit_system.text(interval, TIME, ".3g" if automatic else "g")
     if automatic:
         long = f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
-        # steps may be shorter than the interval, as in a close encounter
+        # steps may be shorter than the interval of frames, for instance in a close encounter
         without = outcome.steps + 1 - outcome.frames
         if 0 < without <= FEW_STEPS:
             long += f', and record.every = "step" the {counted(without, "short step")} between them'
