@@ -48,17 +48,17 @@ from carom.scene.units.dimension import ANGULAR_IMPULSE, ENERGY, IMPULSE, TIME, 
 from carom.scene.wording import counted
 from carom.sharing.report import ENERGY_ERROR, worst_moment
 
-LIST = "carom-page.json"  # lists the files of a publication with their digests
+LIST = "carom-page.json"  # name of the file that lists the files of a publication with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
-MOST_PROBLEMS = 20  # on a page
-_BODIES, _ENERGY = "bodies", "energy"  # views
+MOST_PROBLEMS = 20  # most problems on a page
+_BODIES, _ENERGY = "bodies", "energy"  # names of views
 _PART = re.compile(r"\.[0-9a-f]{8}\.part")
-_TAKEN = {"index", "viewer", "layout", "recording"}  # stems of other files
-MOST_IMPACTS = 10  # most impacts of which each is a moment
-HARDEST = 3  # number of the hardest impacts that are moments if there are more
-FAINTEST = 0.01  # impulse over the largest; weaker impacts explain nothing
-_ROUNDING = 1e-9  # of the normal impulse
-DEEP = 0.01  # overlap over the smaller radius; shallower overlaps explain nothing
+_TAKEN = {"index", "viewer", "layout", "recording"}  # stems of other files in the folder
+MOST_IMPACTS = 10  # most impacts that all become moments
+HARDEST = 3  # if there are more impacts, this number of the hardest ones become moments
+FAINTEST = 0.01  # least impulse relative to the largest; weaker impacts explain nothing
+_ROUNDING = 1e-9  # rounding relative to the normal impulse
+DEEP = 0.01  # least overlap relative to the smaller radius; shallower overlaps explain nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +66,14 @@ class Published:
     """Result of publishing."""
 
     path: Path
-    size: int  # bytes
+    size: int  # bytes of the folder
     moments: int
     picture: str  # the reason for missing pictures; empty if there are pictures
     pages: Sequence[str]  # pages of the recordings, in their order
 
 
 def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
-    """Write the folder; an earlier one by carom is replaced once the new one is complete.
+    """Write the folder; an earlier publication by carom is replaced once the new one is complete.
 
     Each of several recordings has its own page, and a card on the index page. ``watch`` receives a description of each
     stage. Raises RecordingError if a recording has no frame, or the folder cannot be written.
@@ -164,7 +164,7 @@ def refuse_folder(folder: Path, force: bool) -> None:
     Raises
     ------
     RecordingError
-        The message names the folder and a valid one.
+        The message names the folder, and a valid one.
     """
     if is_link_of_another(folder):
         raise RecordingError(f"{folder}: a link of another user; name another folder")
@@ -215,7 +215,7 @@ def _digest(path: Path) -> str:
 
 @contextmanager
 def _replacing(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder whose files move into this one on success; on failure nothing changes.
+    """Yield an empty folder whose files move into ``folder`` on success; on failure, nothing changes.
 
     Files are replaced one by one, since the folder may be a link, the current folder or a mounted disk. The list is
     written first, so that the next publication recognises the files even if this one is killed.
@@ -278,8 +278,8 @@ def telling_moments(recording: Recording) -> list[TellingMoment]:
     """Choose the moments.
 
     The moments are the initial state, if there are many bodies; all impacts, if they are few, otherwise the hardest
-    impacts and the moment with the most contacts; and the end. In addition, there are the worst moment of a run that
-    went wrong, a deep overlap, and a large integration error. Raises RecordingError if the recording has no frame.
+    impacts and the moment with the most contacts; and the end. The worst moment of a run that went wrong, a deep
+    overlap, and a large integration error are added. Raises RecordingError if the recording has no frame.
     """
     recording.require_frames()
     summary = recording.summary()
@@ -316,7 +316,7 @@ def telling_moments(recording: Recording) -> list[TellingMoment]:
 
 
 def _impacts(recording: Recording) -> Iterator[tuple[float, TellingMoment]]:
-    """Yield the impulse (N s) and the moment of each instant at which bodies met hard enough."""
+    """Yield impulse (N s) and moment of each instant at which an impact was hard enough."""
     numbers, table = numbered_impacts(recording)
     times = recording.fingerprints()["time"]
     impulse = np.nan_to_num(table["normal_impulse"].to_numpy())
@@ -363,7 +363,7 @@ def _frame(recording: Recording, row: int, heading: str) -> TellingMoment:
 
 
 def _add(chosen: list[TellingMoment], moment: TellingMoment) -> None:
-    """Add a moment; if there is already a moment of the same step, add only the caption to it."""
+    """Add a moment; if a moment of the same step exists already, only add the caption to it."""
     for place, other in enumerate(chosen):
         if other.step == moment.step:
             chosen[place] = replace(other, details=(*other.details, moment.heading))

@@ -41,12 +41,12 @@ from carom.scene.wording import command, counted, in_one_line, literal
 
 FRAMES = 120  # largest number of frames in the clip, half of them before the time of interest
 ROOM = 7_000_000  # most bytes of the clip before compression
-FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # most frames and bytes of a second clip, with a broken law
+FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # most frames and bytes of a second clip, which shows a broken law
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
-ENERGY_ERROR = 1e-3  # relative error of the energy that becomes the subject of the report
+ENERGY_ERROR = 1e-3  # relative error of the energy above which the error becomes the subject of the report
 MOST_WARNINGS = 50
-PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # pictures by the names of views
-NOT_FINITE = "law-not-finite"  # found by the audit of another engine, while a run of carom fails
+PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # files of pictures, by the names of views
+NOT_FINITE = "law-not-finite"  # kind of an event that the audit of another engine finds; a run of carom fails instead
 LAWS = ("energy", "law-")  # prefixes of the kinds of events about violated laws
 WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
@@ -64,7 +64,7 @@ class Report:
     time: float  # s, the time of interest
     why: str  # the event at the time of interest
     frames: int
-    replayed: str  # a sentence
+    replayed: str  # a sentence about the replay
     picture: str  # the reason for a missing picture; empty if there is one
     replays: bool  # whether `carom replay` accepts the clip
 
@@ -119,7 +119,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 
 
 def _evidence(recording: Recording, small: Recording, folder: Path) -> dict[str, Path]:
-    """Cut a clip around the first frame of each broken law that a bundle's clip does not show."""
+    """If the clip of a bundle does not show a broken law, cut another clip around the law's first frame."""
     begin, end = small.fingerprints()["time"].to_numpy()[[0, -1]]
     found: dict[str, Path] = {}
     for name, law in _laws(recording).items():
@@ -144,10 +144,10 @@ def _broken(recording: Recording, evidence: dict[str, Path]) -> list[str]:
 def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool]:
     """Return the view of a report's pictures at a time (s), and whether the subject is two bodies that meet.
 
-    The subject is two bodies if an extreme of the run occurred at this time, or if the run failed then while bodies
-    touched.
+    The subject is two bodies if an extreme of the run occurred at this time, or if the run failed at this time while
+    bodies touched.
     """
-    for name in sorted(WORST, key=lambda name: name not in why):  # both quantities may have their extremes at this time
+    for name in sorted(WORST, key=lambda name: name not in why):  # two quantities may have their extremes at this time
         if recording.closing.get(f"moments.{name}.time") == moment and pair_of_extreme(recording, name):
             return Request(event=name), True
     for law in _laws(recording).values():
@@ -170,8 +170,8 @@ def _laws(recording: Recording) -> dict[str, dict[str, Any]]:
 def worst_moment(recording: Recording) -> tuple[float, str]:
     """Return the time (s) of a report's subject, and its description.
 
-    The subject is the worst failure: a state that is not finite or a failed run, then a violated law, a missed promise,
-    another warning, and without any of these an extreme of the run.
+    The subject is the worst failure: a state that is not finite or a failed run, or else a violated law, a missed
+    promise, another warning, or an extreme of the run.
     """
     recording.require_frames()
     summary = recording.summary()
@@ -182,7 +182,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     warnings = recording.warnings()
     broken = [event for event in warnings if event.kind.startswith(LAWS)]
     for law in [] if any(event.kind == NOT_FINITE for event in broken) else _laws(recording).values():
-        return law["time"], str(law["text"]).splitlines()[0].rstrip(".")  # the worst one
+        return law["time"], str(law["text"]).splitlines()[0].rstrip(".")  # the worst law
     for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
         return event.time, event.text.splitlines()[0].rstrip(".")
     for name, verdict in summary["expect"].items():
@@ -196,7 +196,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
             return deepest["time"], _extreme("overlap", moments, recording.units)
         return event.time, event.text.splitlines()[0].rstrip(".")
     error = moments.get("energy_error")
-    if error and error["value"] > ENERGY_ERROR and not recording.engine:  # otherwise the law permits the error
+    # only if no law of the scene permits the error
+    if error and error["value"] > ENERGY_ERROR and not recording.engine:
         return error["time"], f"the integration error at a check is largest, {error['value']:.3g} of the energy scale"
     for name in WORST:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
