@@ -1,4 +1,4 @@
-"""The books of a run: totals, extremes and reference values so far. No step depends on the books."""
+"""The books of a run: totals, extremes and reference values so far. Steps do not depend on the books."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Extreme:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()  # numbers of both ends of a contact, during the run; from n on, of planes
+    bodies: tuple[int, ...] = ()  # numbers of both ends of a contact, during the run; numbers from n on are planes
     planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 
@@ -39,22 +39,22 @@ class Extremes:
     """
 
     energy_error: Extreme | None = None  # |integration error| / scale
-    energy_gain: Extreme = NOTHING  # largest rise of the total energy above its previous minimum, over the scale
-    contact_gain: Extreme = NOTHING  # energy that contact impulses added or gave back, over the scale
-    kinetic: Extreme = NOTHING  # kinetic energy over the scale at the last check, which is not the largest
+    energy_gain: Extreme = NOTHING  # largest rise of the total energy above its previous minimum, relative to the scale
+    contact_gain: Extreme = NOTHING  # energy that contact impulses added or gave back, relative to the scale
+    kinetic: Extreme = NOTHING  # kinetic energy at the last check (not the largest), relative to the scale
     impact: Extreme | None = None  # J, largest ½ μ v_n² of any impact
-    overlap: Extreme | None = None  # deepest overlap over the smaller radius
+    overlap: Extreme | None = None  # deepest overlap, relative to the smaller radius
     contacts: Extreme | None = None  # most contacts in a step
-    momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
-    angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
+    momentum_error: Extreme | None = NOTHING  # None if the scene does not conserve momentum
+    angular_momentum_error: Extreme | None = NOTHING  # None if the scene does not conserve angular momentum
     total_contacts: int = 0  # sum of the numbers of contacts over the steps
-    impacts: int = 0  # impacts during drifts, and once for each contact at the end of a step
-    lowest_energy: float = float("inf")  # J
+    impacts: int = 0  # number of impacts: each during a drift, and one for each contact at the end of a step
+    lowest_energy: float = float("inf")  # J, lowest total energy so far
     energy_scale: float = 0.0  # J, energy scale at the last check
     most_taken: float = 0.0  # J, largest restitution + friction in the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
-    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation`, over the scale
+    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation`, relative to the scale
 
     @property
     def energy_fault(self) -> Extreme | None:
@@ -104,7 +104,7 @@ class Extremes:
         return tuple(sorted(events, key=lambda event: event.step))
 
     def add_warning(self, kind: str) -> None:
-        """Update by a warning."""
+        """Update the kinds of warnings so far."""
         if kind not in self.warned:
             self.warned += (kind,)
 
@@ -125,10 +125,10 @@ class MomentumBaseline:
 
 @dataclass(frozen=True, slots=True)
 class MonitorState:
-    """The state of the monitor between two checks."""
+    """The state of the energy monitor between two checks."""
 
     lowest: Energy | None = None  # lowest total energy since the last warning
-    since: float = 0.0  # s, the time of the lowest total
+    since: float = 0.0  # s, time of the lowest total energy
     warnings: int = 0
     lost: bool = False  # whether the loss of a large part of the energy has been reported
     gained: bool = False  # whether energy added by contact impulses has been reported
@@ -136,27 +136,28 @@ class MonitorState:
 
 @dataclass(frozen=True, slots=True)
 class PaceTally:
-    """The state of the monitor between two checks."""
+    """The state of the pace monitor between two checks."""
 
-    slow_since: float | None = None  # s, start of the present series of short steps; None if the last was not short
-    told: bool = False  # whether the warning about them has been given
+    # s, start of the present series of short steps; None if the last step was not short
+    slow_since: float | None = None
+    told: bool = False  # whether the warning about short steps has been given
 
 
 @dataclass(frozen=True, slots=True)
 class WrongWork:
-    """A row of the tally, for a checkpoint."""
+    """A row of the tally of wrong work, for a checkpoint."""
 
     energy: float  # J
     worst: float  # J
     pair: tuple[int, int]
     step: int
     time: float  # s
-    told: bool  # whether this part's warning has been given
+    told: bool  # whether the warning of this row has been given
 
 
 @dataclass(frozen=True, slots=True)
 class Books:
-    """Running totals and extremes of a run. The summary and the warnings depend on the books; no step does."""
+    """Running totals and extremes of a run. The summary and the warnings depend on the books; steps do not."""
 
     energy: EnergyBaseline
     momentum: MomentumBaseline

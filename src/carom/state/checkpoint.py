@@ -31,7 +31,7 @@ class SleepCheckpoint:
     force: Annotated[FloatArray, Saved("sleep_force", "N", SLEEPING, 4)]  # (k, 4) N, normal and tangential force
 
 
-PRESENT, GONE = -1.0, -2.0  # replaces the time since which a body waits: it exists, or it never enters again
+PRESENT, GONE = -1.0, -2.0  # replace the time since which a body waits: the body exists, or it never enters again
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,24 +55,25 @@ class ReleaseCheckpoint:
 class ContactCheckpoint:
     """The contacts of a step that the next step needs, and the impulses of the last kick.
 
-    Its arrays are never written to.
+    The arrays are never written to.
     """
 
     # (m, 2) sorted pairs, including near contacts
     pairs: Annotated[IntArray, Saved("contact_pairs", "", CONTACT, 2, is_pairs=True)]
-    # (m,) closing speed up to which a contact is at rest
+    # (m,) closing speed up to which each contact is at rest
     rest_speed: Annotated[FloatArray, Saved("contact_rest_speed", "m/s", CONTACT)]
     load_speed: Annotated[FloatArray, Saved("contact_load_speed", "m/s", CONTACT)]  # (m,) see `ConstraintSystem`
-    dt: Annotated[float, Saved("contact_dt", "s")]  # the step for which these speeds were computed
+    dt: Annotated[float, Saved("contact_dt", "s")]  # step for which both speeds were computed
     # (k, 2) sorted pairs; usually the same as ``pairs``
     held_pairs: Annotated[IntArray, Saved("held_pairs", "", HELD, 2, is_pairs=True, repeats="pairs")]
-    # (k, 4) N s: λ_n, λ_t; (k, 7) with Λ where the law resists rolling
+    # (k, 4) N s: λ_n, λ_t; (k, 7) with Λ if the law resists rolling
     impulse: Annotated[FloatArray, Saved("held_impulse", "N s", HELD, 4), Saved("held_angular", "N m s", HELD, 3)]
-    kick: Annotated[float, Saved("held_kick", "s")]  # length of that kick
-    sleep: SleepCheckpoint | None = None  # None where no body can sleep
-    # (k, 3) of the pistons: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without one
+    kick: Annotated[float, Saved("held_kick", "s")]  # length of the last kick
+    sleep: SleepCheckpoint | None = None  # None if no body can sleep
+    # (k, 3) for each piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without
+    # pistons
     pistons: Annotated[FloatArray | None, Saved("pistons", "", PISTON, 3)] = None
-    release: ReleaseCheckpoint | None = None  # None where no body enters or leaves
+    release: ReleaseCheckpoint | None = None  # None if no body enters or leaves
 
     def among(self, kept: BoolArray, held: BoolArray) -> ContactCheckpoint:
         """Return a checkpoint with only some contacts, (m,), and some impulses of the last kick, (k,)."""
@@ -93,7 +94,7 @@ class ContactCheckpoint:
 
 
 def waiting(memory: ContactCheckpoint | None) -> BoolArray | None:
-    """Return a mask (n,) of the bodies that wait to enter, or have left; None if the scene has none."""
+    """Return a mask (n,) of the bodies that wait to enter, or have left; None if no body enters or leaves."""
     release = None if memory is None else memory.release
     return None if release is None else np.asarray(release.since != PRESENT)
 
@@ -110,7 +111,7 @@ class EqualSteps(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class OrbitCheckpoint:
-    """State of Wisdom–Holman integration; arrays are in the order of its Jacobi coordinates."""
+    """State of Wisdom–Holman integration; arrays are in the order of the Jacobi coordinates."""
 
     series: Annotated[FloatArray, Saved("orbit_series", "", RUN, len(EqualSteps._fields))]  # of `EqualSteps`
     order: Annotated[FloatArray, Saved("orbit_order", "", BODY)]  # (n,) index of each body in the scene
@@ -130,7 +131,7 @@ class OrbitCheckpoint:
 
 @dataclass(frozen=True, slots=True)
 class IntegratorCheckpoint:
-    """State of Gauss–Radau integration; the last two arrays have a row for each coordinate x, y, z of body after body.
+    """State of Gauss–Radau integration; the last two arrays have three rows for each body, for x, y and z.
 
     With Wisdom–Holman integration, arrays have rows only in close encounters.
     """
@@ -163,17 +164,17 @@ class Checkpoint:
     position: Annotated[FloatArray, Saved("position", "m", BODY, 3, is_squared=True)]  # (n, 3)
     velocity: Annotated[FloatArray, Saved("velocity", "m/s", BODY, 3, is_squared=True)]  # (n, 3)
     acceleration: Annotated[FloatArray, Saved("acceleration", "m/s²", BODY, 3, is_squared=True)]  # (n, 3)
-    # (n, 4) xyzw and (n, 3) rad/s; None where the scene requires none
+    # (n, 4) xyzw and (n, 3) rad/s; None if the scene requires none
     orientation: Annotated[FloatArray | None, Saved("orientation", "", BODY, 4, is_squared=True)]
     angular_velocity: Annotated[FloatArray | None, Saved("angular_velocity", "rad/s", BODY, 3, is_squared=True)]
     energy: Energy  # J
-    contacts: ContactCheckpoint | None  # None where no contact lasts
+    contacts: ContactCheckpoint | None  # None if no contact lasts
     books: Books
-    integrator: IntegratorCheckpoint | None = None  # None where the integrator carries nothing from step to step
+    integrator: IntegratorCheckpoint | None = None  # None if the integrator carries nothing from step to step
 
     @property
     def waits(self) -> BoolArray | None:
-        """(n,) bodies that wait to enter, or have left; None if the scene has none."""
+        """Mask (n,) of the bodies that wait to enter, or have left; None if no body enters or leaves."""
         return waiting(self.contacts)
 
     @property

@@ -19,11 +19,11 @@ class Ledger:
     stabilisation when it enters them.
     """
 
-    restitution: Annotated[float, Saved("ledger_restitution", "J")] = 0.0  # removed by normal impulses
-    friction: Annotated[float, Saved("ledger_friction", "J")] = 0.0  # removed by tangential impulses
-    # J, added by pushing overlapping bodies apart (Baumgarte bias or split)
+    restitution: Annotated[float, Saved("ledger_restitution", "J")] = 0.0  # energy removed by normal impulses
+    friction: Annotated[float, Saved("ledger_friction", "J")] = 0.0  # energy removed by tangential impulses
+    # J, energy added by pushing overlapping bodies apart (Baumgarte bias or split)
     stabilisation: Annotated[float, Saved("ledger_stabilisation", "J")] = 0.0
-    # J, removed by forces without a potential and by moving walls, by entry
+    # J, energy removed by forces without a potential and by moving walls, by entry
     forces: Annotated[NamedEnergies, Saved("ledger_", "J", is_named=True)] = ()
 
     def entry(self, name: str) -> float:
@@ -32,11 +32,11 @@ class Ledger:
         return forces[name] if name in forces else float(getattr(self, name))
 
     def plus_loss(self, entry: str, loss: float) -> Ledger:
-        """Return the ledger after a force without a potential removed ``loss`` joules."""
+        """Return the ledger after a force without a potential has removed ``loss`` more joules."""
         return self.with_loss(entry, dict(self.forces).get(entry, 0.0) + loss)
 
     def with_loss(self, entry: str, loss: float) -> Ledger:
-        """Return the ledger after a force without a potential removed ``loss`` joules in all."""
+        """Return the ledger after a force without a potential has removed ``loss`` joules in total."""
         return replace(self, forces=tuple({**dict(self.forces), entry: loss}.items()))
 
     @property
@@ -52,7 +52,7 @@ class Ledger:
 
     @property
     def taken_out(self) -> float:
-        """The energy removed by contacts; a negative entry, which is an error, is taken as 0."""
+        """The energy removed by contacts; a negative entry is an error, and counts as 0."""
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 
@@ -72,7 +72,7 @@ class Energy:
     scale: Annotated[float, Saved("energy_scale", "J")]  # J, scale of relative errors; see `EnergyAccount`
     # J, potentials of other forces, by term
     others: Annotated[NamedEnergies, Saved("energy_", "J", is_named=True)] = ()
-    rounding: float = 0.0  # J, change of the total that may be rounding; 0 where the scale is far larger
+    rounding: float = 0.0  # J, change of the total that may be rounding; 0 if the scale is far larger
 
     def term(self, name: str) -> float:
         """Return a term by its name in the recording, in joules."""
@@ -102,7 +102,7 @@ class Energy:
 
     @property
     def relative_error(self) -> float:
-        """|integration error| over the energy scale; 0 within the rounding of the total."""
+        """|integration error| relative to the energy scale; 0 within the rounding of the total."""
         return abs(self.relative_change(self.integration_error))
 
     def relative_change(self, change: float) -> float:

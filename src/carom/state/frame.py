@@ -24,8 +24,9 @@ class CollisionGraph:
     normals: FloatArray  # (m, 3) unit vectors from i to j, before position correction
     overlaps: FloatArray  # (m,) m, r_i + r_j - distance, before position correction
     colours: IntArray  # (m,) stage in which the contact is resolved
-    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes; -1 without contacts
-    # (m,) s from the start of the step to the first impact of each contact; None: the end of the step
+    # (n,) colouring of the nodes by the rule of the reference engine (docs/validation.md); -1 without contacts
+    body_colours: IntArray | None = None
+    # (m,) s, time from the start of the step to the first impact of each contact; None: the end of the step
     into_step: FloatArray | None = None
 
     def __len__(self) -> int:
@@ -51,14 +52,15 @@ def empty_graph() -> CollisionGraph:
 class Frame:
     """The state after one step; step 0 is the initial state.
 
-    Arrays are copies, so a frame may wait in a queue. Arrays in a `FrameStore` are valid until their slot is reused.
-    Parts that the scene does not require are None.
+    Arrays are copies, so a frame may wait in a queue. Arrays in a `FrameStore` are valid until their slot is used
+    again. Parts that the scene does not require are None.
     """
 
     step: int
     time: float  # s
     dt: float  # s, length of the step that ended here; 0 at step 0
-    dt_limit: str  # what set dt: "acceleration", "held", "velocity", "pull", "error", "impact", "cap", "fixed", "end" …
+    # limit that set dt: "acceleration", "held", "velocity", "pull", "error", "impact", "cap", "fixed", "end" …
+    dt_limit: str
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s², acceleration by all forces but drag
@@ -66,7 +68,7 @@ class Frame:
     angular_velocity: FloatArray | None  # (n, 3) rad/s
     torque: FloatArray | None  # (n, 3) N m, torque of the lasting contacts in this step
     angular_acceleration: FloatArray | None  # (n, 3) rad/s², angular acceleration by these torques
-    contacts: CollisionGraph  # contacts of this step; empty where no contact is possible
+    contacts: CollisionGraph  # contacts of this step; empty if no contact is possible
     energy: Energy  # J
     momentum: FloatArray  # (3,) kg m/s
     angular_momentum: FloatArray  # (3,) kg m²/s, angular momentum about the origin
@@ -76,27 +78,29 @@ class Frame:
     previous_dt: float  # s, the smoothed step, without the cut at the end of a run
     memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
-    # |p - expected| over the largest Σ m |v| so far; None where anything is fixed
+    # |p - expected|, relative to the largest Σ m |v| so far; None if anything is fixed
     momentum_error: float | None = None
-    angular_momentum_error: float | None = None  # the same of L; also None in a periodic box, which does not conserve L
+    # |L - expected|, relative to its scale; also None in a periodic box, which does not conserve L
+    angular_momentum_error: float | None = None
     integrator: IntegratorCheckpoint | None = None  # state that the integrator's next step needs; None if it needs none
-    slot: int | None = None  # slot of its arrays in a `FrameStore`; None if the frame owns them
+    slot: int | None = None  # slot of the frame's arrays in a `FrameStore`; None if the frame owns them
     # (k,) `CONTACT_ROW` of the impacts since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
     impacts_left_out: int = 0  # number of further impacts, all of them with smaller impulses than `impacts`
     impact_sums: FloatArray | None = None  # `ImpactSums.flat` over all impacts since the previous frame; None: unknown
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW` of this step's contacts, by pair; None if not requested
     angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J over the impacts of this step
-    expected_error: float = 0.0  # of positions, over the size of the system; 0 without a requested accuracy
+    # expected error of positions, relative to the size of the system; 0 without a requested accuracy
+    expected_error: float = 0.0
 
     @property
     def waits(self) -> BoolArray | None:
-        """(n,) bodies that wait to enter, or have left; None if the scene has none."""
+        """Mask (n,) of the bodies that wait to enter, or have left; None if no body enters or leaves."""
         return waiting(self.memory)
 
     @property
     def seen(self) -> FloatArray:
-        """(n, 3) m, the positions of the bodies that exist now; NaN for those that wait."""
+        """Positions (n, 3) m of the bodies that exist now; NaN for bodies that wait."""
         waits = self.waits
         return self.position if waits is None else np.where(waits[:, None], np.nan, self.position)
 

@@ -1,6 +1,6 @@
-"""The table of a state's fields in checkpoints; each row stands beside the field that it stores.
+"""The table of a state's fields in checkpoints; each row is written beside the field that it describes.
 
-A field ``calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]`` of a class that belongs to `Checkpoint` is
+If a class belongs to `Checkpoint`, its field ``calm: Annotated[FloatArray, Saved("sleep_calm", "s", BODY)]`` is
 encoded, decoded, validated, digested and counted by this row (`recording/schema/checkpoint_columns.py`).
 """
 
@@ -12,7 +12,7 @@ from functools import cache
 from types import NoneType
 from typing import Any, cast, get_args, get_type_hints
 
-# objects for which a field has rows; only bodies in close encounters are an `ENCOUNTER`
+# objects for which a field has rows; an `ENCOUNTER` is a body in a close encounter
 RUN, BODY, ENCOUNTER, CONTACT, HELD, SLEEPING = "run", "body", "encounter", "contact", "held", "sleeping"
 INLET, OUTLET, PISTON = "inlet", "outlet", "piston"
 
@@ -24,16 +24,16 @@ class Saved:
     name: str  # name of the component; prefix of the names for energies by name
     unit: str = ""  # SI unit; empty for pure numbers
     per: str = RUN
-    width: int = 1  # numbers in a row
-    rows: int = 1  # rows for each `per`
+    width: int = 1  # number of values in a row
+    rows: int = 1  # number of rows for each object of the kind `per`
     is_pairs: bool = False  # whether a row names the two ends of a contact, in ascending order
-    is_squared: bool = False  # whether steps square the numbers, which then need a bound
-    is_named: bool = False  # whether these are energies by name, with a component for each
-    repeats: str = ""  # field that usually has the same values; this one is then stored without rows
+    is_squared: bool = False  # whether steps square the numbers, so that they need a bound
+    is_named: bool = False  # whether the field has energies by name, with a component for each energy
+    repeats: str = ""  # another field that usually has the same values; this field is then stored without rows
 
     @property
     def bytes(self) -> int:
-        """Bytes of the rows for each `per`; the numbers of ends have 32 bits."""
+        """Bytes of the rows for each object of the kind `per`; the numbers of ends have 32 bits."""
         return (4 if self.is_pairs else 8) * self.width * self.rows
 
 
@@ -53,7 +53,7 @@ def may_lack(owner: Any) -> set[str]:
 
 
 def first_saved(owner: Any) -> str:
-    """Return the name of a component that a checkpoint has if and only if it has this part."""
+    """Return the name of a component that a checkpoint has if, and only if, it has the part ``owner``."""
     return next(iter(saved_fields(owner).values()))[0].name
 
 
@@ -70,7 +70,7 @@ def _table(owner: Hashable) -> tuple[dict[str, tuple[Saved, ...]], dict[str, typ
     components, parts, optional = dict[str, tuple[Saved, ...]](), dict[str, type[Any]](), set[str]()
     for name, hint in get_type_hints(cast(type, owner), include_extras=True).items():
         found = tuple(each for each in get_args(hint) if isinstance(each, Saved))
-        values = get_args(get_args(hint)[0] if found else hint)  # of a union
+        values = get_args(get_args(hint)[0] if found else hint)  # arguments of a union
         kind: Any = next((each for each in values if each is not NoneType), hint)
         if found:
             components[name] = found
