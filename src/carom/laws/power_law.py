@@ -16,7 +16,7 @@ from pydantic import Field
 
 from carom.extend import VELOCITY, ContactLaw, Positive, Section
 
-BITS = 53  # binary digits of an exponent's fraction; the root for the last one differs from 1 by less than round-off
+BITS = 53  # binary digits of an exponent's fraction; the root for the last digit differs from 1 by less than round-off
 
 
 class PowerLaw(Section):
@@ -49,7 +49,7 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
 
 
 def numbers(section: PowerLaw) -> dict[str, float]:
-    """Return the coefficients, by names that Coulomb's law does not have."""
+    """Return the coefficients under names that Coulomb's law does not use."""
     return {"slow_restitution": section.restitution, "fastest_speed": section.speed, "exponent": section.exponent}
 
 

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from carom.extend import VELOCITY, ContactLaw, NonNegative, Section
 
-MOST = 6  # most points of a table; a kernel has a field for each
+MOST = 6  # most points of a table; the record in kernels has a field for each
 
 
 class RestitutionTable(Section):
@@ -67,7 +67,7 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
 
 
 def dissipates(p: Any) -> bool:
-    """Return True: a table without a value below 1 is rare, and costs a little time only."""
+    """Return True: a table without a value below 1 is rare, and only costs a little time."""
     return True
 
 

@@ -1,11 +1,11 @@
 """Rolling and twisting resistance: torques of a contact that do not depend on the speed.
 
-The torque is the standard one (Ai, Chen, Rotter & Ooi 2011, model A), against the relative rotation Ω of the bodies,
-whose components are Ω_t in the tangential plane and Ω_n along the normal:
+The torque acts against the relative rotation Ω of the bodies, as in model A of Ai, Chen, Rotter & Ooi (2011). Ω has the
+components Ω_t in the tangential plane and Ω_n along the normal:
 
     M_r = -μ_r R F_n Ω_t/|Ω_t|,    M_t = -μ_t R F_n Ω_n/|Ω_n|,    R = r_i r_j / (r_i + r_j)
 
-A ball that rolls on a plane decelerates by μ_r g / (1 + I/(m r²)), 5/7 μ_r g for a solid one.
+A ball that rolls on a plane decelerates by μ_r g / (1 + I/(m r²)), which is 5/7 μ_r g for a solid ball.
 """
 
 from __future__ import annotations

@@ -8,9 +8,9 @@ solution of the equation of motion at any speed:
 
 with the reduced radius r and the reduced mass m of the two bodies. For slow impacts, e = 1 - b₂ x² + … is the series
 1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one measured coefficient and its speed, which fix the
-factor of x for spheres like the measured ones, and thereby the curve. If the scene also states the radius and the
-density of these spheres, larger bodies rebound faster and smaller ones more slowly, as 1 - e ∝ 1/R for equal spheres of
-one material. Otherwise all pairs of two materials have the same curve.
+factor of x for spheres like the measured spheres, and so the curve. If the scene also states the radius and the density
+of these spheres, larger bodies rebound faster and smaller bodies more slowly, as 1 - e ∝ 1/R for equal spheres of one
+material. Otherwise all pairs of two materials have the same curve.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from pydantic import Field, model_validator
 from carom.extend import DENSITY, LENGTH, VELOCITY, ContactLaw, Positive, Section
 
 C1, B1, B2, B3, B4 = 0.501086, 0.501086, 1.15345, 0.577977, 0.532178
-HALVINGS = 80  # halvings of an interval of x; the last ones change nothing
+HALVINGS = 80  # number of halvings of an interval of x; the last halvings change nothing
 MOST = 1e3  # largest x, where e = 9e-10
-NEWTON_STEPS = 5  # steps that reduce an error of 8 % to round-off
+NEWTON_STEPS = 5  # number of steps that reduce an error of 8 % to round-off
 
 
 class Viscoelastic(Section):
@@ -54,7 +54,7 @@ def numbers(section: Viscoelastic) -> dict[str, float]:
         x = 0.5 * (low + high)
         e = restitution(SimpleNamespace(measured_x=x, measured_speed=1.0), 1.0, 0.0)
         low, high = (x, high) if e > section.restitution else (low, x)
-    size = 0.0  # sizes do not matter
+    size = 0.0  # sizes of bodies do not matter
     if section.radius is not None and section.density is not None:
         mass = 0.5 * section.density * 4.0 / 3.0 * math.pi * section.radius**3
         size = 0.5 * section.radius / (mass * mass)

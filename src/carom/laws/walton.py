@@ -1,6 +1,6 @@
 """Walton's law of impacts: restitution, friction, and a tangential restitution of impacts that stick.
 
-Measured spheres reverse the slip in an impact that sticks, which Coulomb's friction cannot (Walton 1993; Foerster,
+If an impact sticks, measured spheres reverse the slip, which Coulomb's friction cannot do (Walton 1993; Foerster,
 Louge, Chang & Allia 1994). With the slip g_t before the impact and μ the kinetic friction,
 
     g_t' = -β₀ g_t    where the contact sticks: J_t = (1 + β₀) times the impulse that ends the slip
@@ -28,7 +28,7 @@ class Walton(Section):
 
 
 def smaller(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
-    """Return the smaller coefficient, as for the normal restitution; a geometric mean has no sign."""
+    """Return the smaller coefficient, as for the normal restitution; a geometric mean would have no sign."""
     return {name: min(value, other[name]) for name, value in one.items()}
 
 
