@@ -1,1 +1,1 @@
-"""Shapes of walls besides planes: one module each."""
+"""Shapes of walls besides planes: one module for each shape."""

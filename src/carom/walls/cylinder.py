@@ -1,7 +1,7 @@
 """A cylinder with the bodies inside, such as a drum or a tube.
 
-With ρ the distance of a point from the axis, the wall is R - ρ away. A body of the radius r that moves freely inside
-meets it where ρ = R - r, a quadratic equation for the time.
+If ρ is the distance of a point from the axis, the wall is R - ρ away. A body of radius r that moves freely inside meets
+the wall where ρ = R - r, which is a quadratic equation for the time.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A part of a cone's surface with edges, such as a hopper: open at both ends, and solid from both sides.
 
-In the half-plane of the distances ρ from the axis and h along it, the wall is a segment. The nearest point is on it, or
-at one of its ends, which are the rims.
+In the half-plane of the distances ρ from the axis and h along it, the wall is a segment. The nearest point is on the
+segment, or at one of its ends, which are the rims.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
         ux, uy, uz = dx / rho, dy / rho, dz / rho
     s = (rho - p.radius) * p.along_rho + h * p.along_h
     if 0.0 < s < p.slant:
-        n_rho, n_h = -p.along_h, p.along_rho  # towards the axis
+        n_rho, n_h = -p.along_h, p.along_rho  # normal towards the axis
         distance = (rho - p.radius) * n_rho + h * n_h
         if distance < 0.0:
             n_rho, n_h, distance = -n_rho, -n_h, -distance

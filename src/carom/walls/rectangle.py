@@ -1,6 +1,6 @@
 """A flat rectangular plate with edges, solid from both sides.
 
-The nearest point has the coordinates of a point along both sides, each limited to half of the side.
+Along each side, the nearest point has the coordinate of the given point, limited to half the length of the side.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from carom.arrays import FloatArray
 from carom.extend import LENGTH, Mesh, Real, Section, WallShape
 
-LARGEST_COSINE = 1e-9  # of the angle between the sides; rounding to ten digits causes less
+LARGEST_COSINE = 1e-9  # cosine of the angle between the sides; rounding to ten digits causes less
 FIELDS = (
     *("x", "y", "z", "one_x", "one_y", "one_z", "other_x", "other_y", "other_z"),
     *("normal_x", "normal_y", "normal_z", "half_one", "half_other"),

@@ -1,6 +1,6 @@
 """A hollow sphere with the bodies inside.
 
-With ρ the distance of a point from the centre, the wall is R - ρ away.
+If ρ is the distance of a point from the centre, the wall is R - ρ away.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from carom.arrays import FloatArray
 from carom.extend import LENGTH, Mesh, Positive, Real, Section, WallShape, mesh_of_revolution, unit_vector
 
-POINTS = 25  # of the drawn sphere, from pole to pole
+POINTS = 25  # points of the drawn sphere from pole to pole
 FIELDS = ("radius", "x", "y", "z")
 
 
