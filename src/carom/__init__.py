@@ -57,14 +57,14 @@ def __getattr__(name: str) -> Any:
     """Import a public name on its first use, so that help does not wait for compilers and viewers."""
     if name not in __all__:
         raise AttributeError(f"module 'carom' has no attribute {name!r}")
-    with signals_held():  # an interrupted program may go on, as a notebook does
+    with signals_held():  # after an interrupt, a program such as a notebook may go on
         if name == "__version__":
             return importlib.import_module("importlib.metadata").version("carom")
         if name in ("errors", "record"):
             return importlib.import_module(f"carom.{name}")
         home = importlib.import_module(_HOMES[name])
         if arrow := sys.modules.get("pyarrow"):
-            arrow.array([0])  # imports pandas, if it is installed, as the first conversion would
+            arrow.array([0])  # this imports pandas, if it is installed, like any first conversion
         return getattr(home, name)
 
 

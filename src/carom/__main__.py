@@ -8,9 +8,9 @@ import sys
 from types import FrameType
 
 LEAST_ADDRESS_SPACE = 1.2e9  # bytes; a run of two spheres aborts in Arrow with 0.9 GB, and completes with 1.1 GB
-DESCRIPTORS = 40  # required free descriptors: on two cores every command works with 24, and Rerun aborts below 16
-USUAL_DESCRIPTORS = 1024  # carom raises a lower limit if the user may do so
-RESERVED = "64M"  # the size of the blocks of addresses that Rerun's or Arrow's allocator reserves
+DESCRIPTORS = 40  # required free descriptors: on two cores, every command works with 24, and Rerun aborts below 16
+USUAL_DESCRIPTORS = 1024  # usual limit; carom raises a lower limit if the user may do so
+RESERVED = "64M"  # size of the blocks of addresses that the allocator of Rerun or Arrow reserves
 
 
 def main() -> None:
@@ -22,9 +22,9 @@ def main() -> None:
             signal.signal(number, end_at_once)
     fit_into_address_space()
     fit_into_descriptors()
-    # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time
+    # the system's allocator is used, since Arrow's own keeps freed memory: a clip took 30 MB more, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
-    # Pydantic would load plugins of any package, and fail if the metadata of one are damaged
+    # otherwise Pydantic would load plugins of any package, and fail if the metadata of one package are damaged
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
     from carom.runs.environment import raise_signals  # noqa: PLC0415 - checks come first
@@ -34,13 +34,13 @@ def main() -> None:
 
 
 def end_at_once(number: int, frame: FrameType | None) -> None:
-    """End the process as its signal demands; an exception within an import could be caught by anybody."""
+    """End the process as its signal demands, since any code could catch an exception within an import."""
     os.write(2, b"carom: interrupted\n")
     os._exit(128 + number)
 
 
 def fit_into_address_space() -> None:
-    """Exit if ``ulimit -v`` leaves too little for the libraries; under any limit, let them reserve little.
+    """Exit if ``ulimit -v`` leaves too little for the libraries; under any limit, let the libraries reserve little.
 
     Rerun and Arrow each reserve a GiB of addresses if possible. Under a limit of 2 GB, OpenBLAS or Arrow then aborted
     for lack of a few kB. Both read the size of the reservation when they are loaded.

@@ -1,6 +1,6 @@
 """The types of arrays, for annotations; comments at each use give the shapes.
 
-A type of records is a Protocol with annotated fields. `dtype_of` makes NumPy's type from these fields. Kernels name the
+A type of records is a Protocol with annotated fields, from which `dtype_of` makes NumPy's type. Kernels name the
 Protocol in their annotations, so that mypy refuses a field that does not exist.
 """
 
@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
 ColourArray = NDArray[np.uint32]  # 0xRRGGBBAA
-Records = NDArray[np.void]  # structured: a row for each contact, plane or body
+Records = NDArray[np.void]  # structured arrays, with a row for each contact, plane or body
 
 Record_co = TypeVar("Record_co", covariant=True)
 

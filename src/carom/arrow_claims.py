@@ -12,7 +12,7 @@ from carom.arrays import IntArray
 _HEADER = 2  # field of a Message: its RecordBatch
 _DATA = 1  # field of a DictionaryBatch: its RecordBatch
 _FIELDS = 1  # field of a Schema: its columns
-_SIZE = 8  # bytes before a compressed buffer, which state its uncompressed size
+_SIZE = 8  # number of bytes before a compressed buffer that state its uncompressed size
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # fields of a RecordBatch
 
 

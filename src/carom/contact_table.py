@@ -1,7 +1,7 @@
 """The contact table: impulses, mode and energies of the contacts of a step, one row per contact; sums over impacts.
 
-Signs of impulses are those for body j, which receives ``normal_impulse`` along the normal, ``friction`` and
-``angular``; body i receives the opposite impulses. docs/physics.md, section 9, defines impulses, modes and energies.
+Impulses are given for body j, which receives ``normal_impulse`` along the normal, ``friction`` and ``angular``; body i
+receives the opposite impulses. docs/physics.md, section 9, defines impulses, modes and energies.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ class ContactRow(Protocol):
     nz: float
     arm_i: float  # m, from each centre to the contact point; 0 for planes and walls
     arm_j: float
-    approach_speed: float  # m/s, closing speed before the impulses; 0 if separating
+    approach_speed: float  # m/s, closing speed before the impulses; 0 if the bodies separate
     normal_impulse: float  # N s
     friction_x: float  # N s, the tangential impulse
     friction_y: float
     friction_z: float
-    angular_x: float  # N m s, the angular impulse of a law that resists rolling or twisting
+    angular_x: float  # N m s, angular impulse by a law that resists rolling or twisting
     angular_y: float
     angular_z: float
     mode: Annotated[int, np.uint8]
-    restitution_loss: float  # J, dissipated by the normal impulse
-    friction_loss: float  # J, dissipated by the tangential impulse
-    stabilisation_gain: float  # J, injected by the position correction or the bias
+    restitution_loss: float  # J, energy that the normal impulse dissipated
+    friction_loss: float  # J, energy that the tangential impulse dissipated
+    stabilisation_gain: float  # J, energy that the position correction or the bias added
 
 
 CONTACT_ROW = dtype_of(ContactRow)
@@ -59,7 +59,7 @@ def turning_impulses(
     """Return the angular impulses of contacts on both bodies about their centres, (k, 2, 3) N m s: ρ λ_t × n ± Λ.
 
     The arguments are the normals, (k, 3), the arms ρ, (k, 2) m, the friction λ_t, (k, 3) N s, and the angular impulses
-    Λ, (k, 3) N m s. Where no law resists rolling, Λ has no columns.
+    Λ, (k, 3) N m s. If no law resists rolling, Λ has no columns.
     """
     turns = arms[:, :, None] * np.cross(friction, normal)[:, None, :]
     if angular.shape[1]:
@@ -76,7 +76,7 @@ class PairSums(NamedTuple):
     first: IntArray  # the lower group number of each pair; pairs are in ascending order
     second: IntArray  # the higher group number; the number of groups stands for planes and walls
     impacts: FloatArray
-    speed: FloatArray  # m/s, of approach
+    speed: FloatArray  # m/s, sums of the approach speeds
     restitution_loss: FloatArray  # J
     friction_loss: FloatArray  # J
 
@@ -85,7 +85,8 @@ class ImpactSums(NamedTuple):
     """Sums over all impacts between two frames, recorded one by one or not, and over the bodies in the later frame."""
 
     impacts: float
-    collisions: float  # collisions of movable bodies: two in an impact of two bodies, one in an impact on a plane
+    # number of collisions of movable bodies: two in an impact of two bodies, one in an impact on a plane
+    collisions: float
     speed: float  # m/s, sum of the approach speeds v_n
     speed_square: float  # m²/s², Σ v_n²
     largest_speed: float  # m/s

@@ -1,6 +1,6 @@
 """The exceptions that carom raises, each with a sentence for a person, and the commands that install missing packages.
 
-Users need the four in ``__all__``. The other classes are kinds of `RecordingError`, which callers inside carom
+Users need the four classes in ``__all__``. The other classes are kinds of `RecordingError` that callers inside carom
 distinguish.
 """
 
@@ -19,7 +19,7 @@ __all__ = ["ExperimentError", "PhysicsError", "RecordingError", "SceneError"]
 
 
 class SceneError(ValueError):
-    """A scene cannot be simulated as written; the message has the place, the mistake and a valid value.
+    """A scene cannot be simulated as written; the message names the place, the mistake and a valid value.
 
     Parameters
     ----------

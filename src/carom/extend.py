@@ -1,7 +1,7 @@
 """The interface for packages that extend carom, in addition to the names of `carom`.
 
 An extension is a package that names its parts in its ``pyproject.toml``, as `carom.registry` describes;
-``examples/extension`` has parts of most kinds. docs/extending.md says what each name means. Names are imported at their
+``examples/extension`` has parts of most kinds. docs/extending.md explains each name. Names are imported at their
 first use, so that a command of a package starts as fast as a command of carom. carom itself imports each name from the
 module that defines it, except in `laws` and `walls`, which are built like extensions.
 """
@@ -97,7 +97,7 @@ if TYPE_CHECKING:
     from carom.terminal.printing import say as say
     from carom.terminal.printing import say_json as say_json
 
-_NAMES = {  # of each module
+_NAMES = {  # names in each module
     "carom.errors": "needing",
     "carom.lab.compared_run": "Setting Trajectory",
     "carom.engines.engine": "Engine EngineSimulation Problem SteppedEngine dt_of problem_of refuse",

@@ -1,4 +1,4 @@
-"""Signals that wait until something is whole: an import, or a kernel that is loaded."""
+"""Signals that wait until something is complete: an import, or the loading of a kernel."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ ENDING = (signal.SIGTERM, signal.SIGHUP)  # SIGTERM is sent by Slurm, Kubernetes
 def signals_held() -> Iterator[None]:
     """Delay the handlers of signals until the block ends; each runs once, in the order in which the signals came.
 
-    A handler may raise an exception, as the handler of Ctrl-C does. An import that an exception ends leaves modules
-    half made, which a later import takes for whole: Numba and NumPy then fail until the process ends. LLVM's callbacks
-    drop the exception, and link a kernel to address zero. Outside the main thread, handlers do not run, so no signal is
-    held.
+    A handler may raise an exception, as the handler of Ctrl-C does. If an exception ends an import, it leaves
+    unfinished modules, which a later import takes for complete: Numba and NumPy then fail until the process ends.
+    LLVM's callbacks drop the exception, and link a kernel to address zero. Outside the main thread, handlers do not
+    run, so no signal is held.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -31,7 +31,7 @@ def signals_held() -> Iterator[None]:
     def hold(number: int, frame: FrameType | None) -> None:
         if holds:
             held.append(number)
-        else:  # a signal that came while the handlers were put back
+        else:  # a signal came while the handlers were put back
             handlers[number](number, frame)
 
     for number in handlers:
@@ -39,7 +39,8 @@ def signals_held() -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.ExitStack() as afterwards:  # the last signal first; all of them even if a handler raises
+        # handlers are called last signal first, and all of them even if one raises
+        with contextlib.ExitStack() as afterwards:
             for number in reversed(dict.fromkeys(held)):
                 afterwards.callback(signal.raise_signal, number)
             for number, handler in handlers.items():

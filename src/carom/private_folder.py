@@ -1,6 +1,6 @@
-"""The one temporary folder of a process: its own, closed to other users, and removed when the process ends.
+"""The one temporary folder of a process: it is closed to other users, and removed when the process ends.
 
-Where several users share a machine, each can make a folder of any name in the system's temporary folder. This folder
+If several users share a machine, each can make a folder of any name in the system's temporary folder. This folder
 therefore has a random name and mode 0700, and a location where no other user can replace it. It contains every
 temporary file of carom. A process that is killed leaves its folder behind; the next process of the same user removes
 it.
@@ -23,10 +23,10 @@ from functools import cache
 from pathlib import Path
 
 PREFIX = "carom-"
-MARK = "made-by-carom"  # in each locked folder; a folder without this file is never removed
+MARK = "made-by-carom"  # name of a file in each locked folder; a folder without this file is never removed
 _above: list[Path] = []  # the folder of the parent process
 _guard = threading.Lock()
-_made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks it
+_made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks the folder
 
 
 def private_folder() -> Path:
@@ -37,20 +37,20 @@ def private_folder() -> Path:
     """
     with _guard:
         known = _made.get(os.getpid())
-        if known is None or not known[0].is_dir():  # in a forked process, or if another program removed it
+        if known is None or not known[0].is_dir():  # a forked process has no folder, or another program removed it
             known = _made[os.getpid()] = _make()
             atexit.register(remove_private_folder)
         return known[0]
 
 
 def move_into(folder: Path) -> None:
-    """Make this process's folder inside a folder of its parent process, which removes both."""
+    """Make this process's folder inside a folder of its parent process; the parent removes both."""
     _above.append(folder)
 
 
 @contextlib.contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield an empty folder within the private one, which is removed at the end of the context."""
+    """Yield an empty folder within the private folder; it is removed at the end of the context."""
     folder = Path(tempfile.mkdtemp(dir=private_folder()))
     try:
         yield folder
@@ -116,14 +116,15 @@ def _make() -> tuple[Path, int]:
     _remove_left(fit[0])
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=fit[0]))
     lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    with contextlib.suppress(OSError):  # a file system without locks; systemd-tmpfiles leaves a locked folder alone
+    # raised on a file system without locks; systemd-tmpfiles leaves a locked folder alone
+    with contextlib.suppress(OSError):
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         (folder / MARK).touch()
     return folder, lock
 
 
 def _remove_left(place: Path) -> None:
-    """Remove the folders of this user's processes that were killed: marked, and no longer locked."""
+    """Remove the folders of this user's processes that were killed: folders that are marked, and no longer locked."""
     for folder in place.glob(f"{PREFIX}*"):
         if not is_own(folder) or not (folder / MARK).is_file():
             continue

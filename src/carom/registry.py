@@ -1,6 +1,6 @@
-"""The parts of carom by kind and name: its own, and those of installed packages.
+"""The parts of carom by kind and name: its own parts, and parts of installed packages.
 
-An installed package adds a part through an entry point, whose group is the kind with ``carom.`` before it:
+An installed package adds a part through an entry point, whose group is ``carom.`` and the kind:
 
     [project.entry-points."carom.forces"]
     harmonic-trap = "carom_example.trap:TRAP"
@@ -49,7 +49,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "tree": "carom.physics.forces.gravity.tree:make",
         "fast-multipole": "carom.physics.forces.gravity.fast_multipole.fast_multipole:make",
     },
-    "integrators": {  # integrators that choose their own steps; the others are sequences of kicks and drifts
+    "integrators": {  # integrators that choose their own steps; other integrators are sequences of kicks and drifts
         "gauss-radau15": "carom.physics.integrators.gauss_radau.gauss_radau15:make",
         "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
     },
@@ -69,7 +69,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "rectangle": "carom.walls.rectangle:WALL",
         "mesh": "carom.walls.mesh:WALL",
     },
-    "placements": {  # arrangements of groups, and the region shape with its own velocities
+    "placements": {  # arrangements of groups, and the shape of a region that has velocities of its own
         "random": "carom.physics.placement.random_placement:RANDOM",
         "compressed": "carom.physics.placement.growth:COMPRESSED",
         "cubic": "carom.physics.placement.lattice:LATTICE",
@@ -128,7 +128,8 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "pybullet": "carom.engines.adapters.pybullet:pybullet",
         "newton": "carom.engines.adapters.newton:newton",
     },
-    "model": {  # optional parts of the physics, which no package can define; for others see `carom.plan.step_parts`
+    # optional parts of the physics, which packages cannot define; for parts of a step see `carom.plan.step_parts`
+    "model": {
         "piston": "carom.physics.contact.piston_motion:PistonPlanes",
         "steady-steps": "carom.physics.contact.events.steady_steps:make",
     },
@@ -154,11 +155,11 @@ class PartOrigin(NamedTuple):
 
     target: str  # module:attribute
     package: str  # the distribution that defines the part; empty for carom's own parts
-    version: str  # of the distribution
+    version: str  # version of the distribution
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """Return the names of all parts of a kind: carom's own first, then the installed ones by name."""
+    """Return the names of all parts of a kind: carom's own parts first, then installed parts by name."""
     own = HOUSE.get(kind, {})
     return (*own, *(name for name in installed(kind) if name not in own))
 
@@ -171,7 +172,7 @@ def installed(kind: str) -> tuple[str, ...]:
 def origin(kind: str, name: str) -> PartOrigin | None:
     """Return the origin of a part of an installed package; None if no package has that name.
 
-    Raises `ExtensionError` if two packages define the name, or carom and a package do.
+    Raises `ExtensionError` if two packages define the name, or if carom and a package define it.
     """
     origins = _installed().get(kind, {}).get(name, ())
     own = HOUSE.get(kind, {}).get(name)
@@ -266,7 +267,7 @@ def _installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
             about = dict(distribution.metadata.json)
             package, version = str(about.get("name", "?")), str(about.get("version", "?"))
             entries = [each for each in distribution.entry_points if each.group.startswith(PREFIX)]
-        except Exception:  # metadata of a package, perhaps an unneeded one, are damaged
+        except Exception:  # metadata of a package, perhaps of an unneeded one, are damaged
             continue
         for entry in entries:
             if (kind := entry.group.removeprefix(PREFIX)) in KINDS:
