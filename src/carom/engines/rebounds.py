@@ -1,4 +1,4 @@
-"""The coefficients of restitution of isolated impacts, compared over a whole run with those of similar impacts.
+"""The coefficients of restitution of isolated impacts, compared over a whole run with similar impacts.
 
 Where two ends touch nothing else, their velocities before and after an impact give its coefficient. At the end of a
 run, it is known which coefficient this engine has at each speed. An impact of the same materials and a similar speed
@@ -105,8 +105,8 @@ class Rebounds:
     def _outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
         """Yield the impacts whose coefficient of restitution differs from impacts of the same materials and speed.
 
-        A faulty coefficient differs from those of the next slower and the next faster impacts, since coefficients may
-        depend on the speed.
+        A faulty coefficient differs from the coefficients of the next slower and the next faster impacts, since
+        coefficients may depend on the speed.
         """
         groups: dict[int, list[IsolatedImpact]] = {}
         for impact in self.impacts:
@@ -130,4 +130,4 @@ class Rebounds:
         for impact, usuals in compared:
             usual = min(usuals, key=impact.differs)
             if impact.differs(usual) > allowed:
-                yield impact, impact.unlike(usual, allowed, "others of this speed have")
+                yield impact, impact.unlike(usual, allowed, "other impacts of this speed have")

@@ -109,7 +109,7 @@ class RubbingContacts:
             for k, usual, excess in _wrong(ends[among], least[among], most[among], slides[among], bodies):
                 row, frame = among[k], self.frames[owner[among[k]]]
                 ratio = float(least[row] if least[row] > usual else most[row])
-                what = f"rub with {ratio:.3g} of their normal impulse; others that slide have {usual:.3g}"
+                what = f"rub with {ratio:.3g} of their normal impulse; other sliding contacts have {usual:.3g}"
                 named = int(ends[row, 0]), int(ends[row, 1])
                 yield frame.step, frame.time, Broken(FRICTION, excess, named, what)
 

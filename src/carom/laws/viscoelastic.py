@@ -35,7 +35,7 @@ class Viscoelastic(Section):
     restitution: float = Field(strict=True, gt=1e-6, lt=1, description="e at ``speed``; more than 1e-6, less than 1")
     speed: Annotated[Positive, VELOCITY] = Field(description="m/s, closing speed at which ``restitution`` was measured")
     radius: Annotated[Positive, LENGTH] | None = Field(
-        None, description="m, of the two equal spheres that were measured; by default, sizes do not matter"
+        None, description="m, radius of the two equal spheres that were measured; by default, sizes do not matter"
     )
     density: Annotated[Positive, DENSITY] | None = Field(None, description="kg/m³, of these spheres")
 

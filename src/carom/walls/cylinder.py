@@ -24,7 +24,7 @@ class Cylinder(Section):
 
     radius: Annotated[Positive, LENGTH] = Field(description="m, more than 0")
     point: Annotated[tuple[Real, Real, Real], LENGTH] = Field(
-        (0.0, 0.0, 0.0), description="m, [x, y, z] of any point of the axis"
+        (0.0, 0.0, 0.0), description="m, position [x, y, z] of any point of the axis"
     )
     axis: tuple[Real, Real, Real] = Field((0.0, 0.0, 1.0), description="[x, y, z], its direction; any length but 0")
 

@@ -36,11 +36,15 @@ FIELDS = (
 class Frustum(Section):
     """[wall.cone]: the surface between two circles about one axis, such as a funnel; open at both ends."""
 
-    radius: Annotated[NonNegative, LENGTH] = Field(description="m, of the circle about the point; not negative")
-    end_radius: Annotated[NonNegative, LENGTH] = Field(description="m, of the circle at the end; not negative")
-    height: Annotated[Positive, LENGTH] = Field(description="m, from the point to the end, along the axis; more than 0")
+    radius: Annotated[NonNegative, LENGTH] = Field(description="m, radius of the circle about `point`; not negative")
+    end_radius: Annotated[NonNegative, LENGTH] = Field(
+        description="m, radius of the circle at the other end; not negative"
+    )
+    height: Annotated[Positive, LENGTH] = Field(
+        description="m, distance along the axis from `point` to the other end; more than 0"
+    )
     point: Annotated[tuple[Real, Real, Real], LENGTH] = Field(
-        (0.0, 0.0, 0.0), description="m, [x, y, z], the centre of the first circle"
+        (0.0, 0.0, 0.0), description="m, [x, y, z], centre of the first circle"
     )
     axis: tuple[Real, Real, Real] = Field(
         (0.0, 0.0, 1.0), description="[x, y, z], direction to the end; any length but 0"

@@ -26,9 +26,11 @@ class Rectangle(Section):
     """[wall.rectangle]: a thin rectangular plate, with its edges."""
 
     centre: Annotated[tuple[Real, Real, Real], LENGTH] = Field((0.0, 0.0, 0.0), description="m, [x, y, z]")
-    side: Annotated[tuple[Real, Real, Real], LENGTH] = Field(description="m, [x, y, z], from one corner to the next")
+    side: Annotated[tuple[Real, Real, Real], LENGTH] = Field(
+        description="m, [x, y, z], vector from one corner to the next"
+    )
     other_side: Annotated[tuple[Real, Real, Real], LENGTH] = Field(
-        description="m, [x, y, z], at right angles to the side"
+        description="m, [x, y, z], vector along the other side, at right angles to the first"
     )
 
     @model_validator(mode="after")

@@ -143,7 +143,7 @@ def test_a_series_that_another_version_did_not_record_is_mentioned_once(
     other = mapped("version.carom", lambda row: ["0.0.9"])
     changed(tmp_path / "old.rrd", tmp_path / "old.rrd", "__properties/run", other, static=True)
     result = replay(tmp_path / "old.rrd")
-    assert result.same and "rows of /step/contact_force, which the recording lacks" in result.not_compared
+    assert result.same and "rows of /step/contact_force, because the recording lacks them" in result.not_compared
 
 
 def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: Path, tmp_path: Path) -> None:

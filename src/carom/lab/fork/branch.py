@@ -135,7 +135,7 @@ def start_of(branch: Branch) -> ForkStart:
     if checkpoint.time >= end:
         raise ExperimentError(
             f"the run ends at {units.text(end, TIME, 'g')}: a fork at t = {units.text(checkpoint.time, TIME, '.9g')} "
-            "would have no time left; give an earlier --at, or a later end with --set time.duration=…"
+            "would have no time left. Give an earlier --at, or a later end with --set time.duration=…"
         )
     return ForkStart(recording, scene, checkpoint)
 

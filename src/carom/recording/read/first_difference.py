@@ -158,7 +158,7 @@ class _Comparison:
             def present(keys: IntArray) -> BoolArray:
                 there = np.isin(keys, own)
                 if lacks_some and not is_chosen and not there.all():
-                    self.excused[f"rows of /{path}, which the recording lacks"] = None
+                    self.excused[f"rows of /{path}, because the recording lacks them"] = None
                 if lacks_some or is_chosen:
                     return there
                 # the new file ends with a checkpoint, and in the recording a warning may have added a checkpoint there
@@ -253,7 +253,7 @@ class _Comparison:
             self.excused["the text of events"] = None
             return None
         if not extent.is_complete and set(ours) <= set(theirs):
-            self.excused["events, which the recording lacks"] = None
+            self.excused["events, because the recording lacks them"] = None
             return None
         where = "/events at the end" if closing else "/events"
         return _unlike(step, where, _text_of(ours, theirs), _text_of(theirs, ours))

@@ -33,12 +33,12 @@ class Matter(Section):
     """The matter of a sphere: a density or a mass, not both."""
 
     density: Annotated[Positive, DENSITY] | None = Field(
-        None, description="kg/m³, 1000 unless a mass or a material is given; more than 0"
+        None, description="kg/m³, density; 1000 unless a mass or a material is given; more than 0"
     )
     mass: Annotated[NonNegative, MASS] | None = Field(
         None,
-        description="kg, of each body, instead of a density; 0 for test particles, which are attracted but attract "
-        "nothing, and need contact.enabled = false",
+        description="kg, mass of each body, instead of a density; 0 for test particles, which are attracted but "
+        "attract nothing, and need contact.enabled = false",
     )
     inertia_factor: Positive | None = Field(
         None,
@@ -64,7 +64,7 @@ class Matter(Section):
 class Body(Matter):
     """[[body]]: one body."""
 
-    name: str = Field("", description="shown in the recording and in warnings")
+    name: str = Field("", description="name, which the recording and warnings show")
     position: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of the centre")
     velocity: Annotated[Vector, VELOCITY] = Field(ORIGIN, description="m/s, [x, y, z]")
     angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] = Field(ORIGIN, description="rad/s, [x, y, z]")
@@ -100,7 +100,7 @@ class Columns(Section):
     density: Name | None = Field(None, description="kg/m³, instead of a mass")
     radius: Name | None = Field(None, description="m")
     diameter: Name | None = Field(None, description="m, instead of a radius")
-    inertia: Name | None = Field(None, description="kg m², moment of inertia, instead of inertia_factor")
+    inertia: Name | None = Field(None, description="kg m², moment of inertia, instead of `inertia_factor`")
     fixed: Name | None = Field(None, description="true or 1: the body neither moves nor rotates")
     name: Name | None = Field(None, description="names of the bodies")
     header: tuple[Name, ...] | None = Field(
@@ -145,11 +145,15 @@ class KeplerianOrbits(Section):
 class Missing(Section):
     """Replacements for missing values in a file: used for entries that are empty, not a number, or a size of 0."""
 
-    radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of bodies without a radius or diameter")
-    mass: Annotated[NonNegative, MASS] | None = Field(
-        None, description="kg, of bodies without a mass; a mass of 0 is kept"
+    radius: Annotated[Positive, LENGTH] | None = Field(
+        None, description="m, radius of bodies without a radius or diameter in the file"
     )
-    density: Annotated[Positive, DENSITY] | None = Field(None, description="kg/m³, of bodies without a density")
+    mass: Annotated[NonNegative, MASS] | None = Field(
+        None, description="kg, mass of bodies without a mass in the file; a mass of 0 is kept"
+    )
+    density: Annotated[Positive, DENSITY] | None = Field(
+        None, description="kg/m³, density of bodies without a density in the file"
+    )
     leave_out: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: leave out rows without a position, such as rows of bodies that have merged"
     )
@@ -158,7 +162,7 @@ class Missing(Section):
 class BodyData(Matter):
     """[[bodies]]: many bodies, from a file or from arrays; a value given here applies to all of them."""
 
-    name: str = Field("", description="shown in the recording, with a number for each body")
+    name: str = Field("", description="name, which the recording shows with a number for each body")
     file: Name | None = Field(
         None,
         description=".csv, .txt, .parquet, .arrow, .npz, .h5, .bin (REBOUND) or another of docs/data.md; relative to "
@@ -187,16 +191,16 @@ class BodyData(Matter):
         None, description="m, the point [x, y, z] of the file that becomes the origin of the scene"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
-        None, description="m, of all bodies, instead of a column; more than 0"
+        None, description="m, radius of all bodies, instead of a column; more than 0"
     )
     velocity: Annotated[Vector, VELOCITY] | None = Field(
-        None, description="m/s, [x, y, z], of all bodies, instead of columns"
+        None, description="m/s, velocity [x, y, z] of all bodies, instead of columns"
     )
     angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] | None = Field(
-        None, description="rad/s, [x, y, z], of all bodies, instead of columns"
+        None, description="rad/s, angular velocity [x, y, z] of all bodies, instead of columns"
     )
     fixed: Annotated[bool, Field(strict=True)] | None = Field(
-        None, description="true: the bodies neither move nor rotate; instead of a column"
+        None, description="true: the bodies neither move nor rotate; the key replaces a column"
     )
     count: Count | None = Field(None, description="number of bodies; written by carom, and checked if given")
     sha256: Annotated[str, Field(strict=True, pattern=DIGEST)] | None = Field(
@@ -309,7 +313,8 @@ class BodyGroup(Matter):
     velocity: Velocity = Field(Velocity(), description="{ mean, dispersion, virial } in m/s")
     spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
     bulk_rotation: Annotated[Vector, ANGULAR_VELOCITY] = Field(
-        ORIGIN, description="rad/s, [x, y, z], of a rigid rotation of the whole group about its centre"
+        ORIGIN,
+        description="rad/s, angular velocity [x, y, z] with which the whole group rotates rigidly about its centre",
     )
     release: Release | None = Field(
         None, description="{ at, rate, until }: when the bodies enter; by default they exist from the start"
@@ -340,7 +345,7 @@ class SolidPlane(Surface):
     """
 
     name: str = Field("", description="shown in warnings")
-    point: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of any point on the surface")
+    point: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, position [x, y, z] of any point on the surface")
     normal: tuple[AnyReal, AnyReal, AnyReal] = Field(
         (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid, of any length but 0"
     )

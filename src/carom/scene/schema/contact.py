@@ -150,10 +150,13 @@ class Surface(Section):
     """Coefficients of the contact law, each of which may be missing."""
 
     restitution: AnyReal | None = Field(
-        None, ge=0, le=1, description="rebound speed over approach speed, from 0 to 1; by default as in [contact]"
+        None,
+        ge=0,
+        le=1,
+        description="speed of rebound over speed of approach, from 0 to 1; by default the value in [contact]",
     )
     static_friction: Friction | None = Field(
-        None, description="Coulomb coefficient of a sticking contact; by default as in [contact]"
+        None, description="Coulomb coefficient of a sticking contact; by default the value in [contact]"
     )
     kinetic_friction: Friction | None = Field(
         None,
@@ -198,7 +201,7 @@ class Material(Surface):
         min_length=1, description='name by which bodies, groups, planes and pairs refer to it; not "default"'
     )
     density: Annotated[Positive, DENSITY] | None = Field(
-        None, description="kg/m³, of bodies without a mass of their own; more than 0"
+        None, description="kg/m³, density of bodies without a mass of their own; more than 0"
     )
     inertia_factor: Positive | None = Field(
         None, le=2 / 3, description="moment of inertia over m r²: 2/5 for a solid sphere, 2/3 for a thin shell"
@@ -252,7 +255,7 @@ class Sleep(Section):
         "may fall asleep"
     )
     after: Annotated[Positive, TIME] = Field(
-        0.5, description="s, time for which all bodies of an island must be that slow"
+        0.5, description="s, time for which all bodies of an island must be no faster than `speed`"
     )
 
 

@@ -26,23 +26,26 @@ class WallMotion(Section):
 
     rotation: Annotated[Real, ANGULAR_VELOCITY] = Field(
         0.0,
-        description="rad/s, right-handed about the axis of a cylinder, cone, disc or sphere: only its friction moves",
+        description="rad/s, right-handed about the axis of a cylinder, cone, disc or sphere; only friction feels it",
     )
     velocity: Annotated[Vector, VELOCITY] = Field(
         ORIGIN, description="m/s, [x, y, z]: at the time t, the wall is displaced by `velocity` t"
     )
     times: Annotated[tuple[NonNegative, ...], TIME] = Field(
-        (), description="s, ascending: when its velocity becomes the next of `velocities`; it is at rest before"
+        (), description="s, ascending times at which the wall takes the next of `velocities`; before them it is at rest"
     )
     velocities: Annotated[tuple[Vector, ...], VELOCITY] = Field(
-        (), description="m/s, [[x, y, z], …], as many as `times`; the last one lasts to the end. Steps end at `times`"
+        (),
+        description="m/s, [[x, y, z], …], one for each of `times`; the last one lasts to the end. Steps end at `times`",
     )
     amplitude: Annotated[Vector, LENGTH] = Field(
-        ORIGIN, description="m, [x, y, z]: it is also displaced by `amplitude` sin(2π `frequency` t + `phase`)"
+        ORIGIN, description="m, [x, y, z]: the wall is also displaced by `amplitude` sin(2π `frequency` t + `phase`)"
     )
-    frequency: Annotated[Positive, RATE] | None = Field(None, description="1/s, of the oscillation, more than 0")
+    frequency: Annotated[Positive, RATE] | None = Field(
+        None, description="1/s, frequency of the oscillation; more than 0"
+    )
     phase: Annotated[Real, ANGLE] = Field(
-        0.0, description='rad, of the oscillation; "-90 deg" starts it at rest, at -`amplitude`'
+        0.0, description='rad, phase of the oscillation; "-90 deg" starts it at rest, at -`amplitude`'
     )
 
     @property

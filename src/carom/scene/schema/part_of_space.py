@@ -36,7 +36,7 @@ class Region(Section):
     size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
         None, description="m, [x, y, z] of a box"
     )
-    height: Annotated[Positive, LENGTH] | None = Field(None, description="m, of a cylinder along z; more than 0")
+    height: Annotated[Positive, LENGTH] | None = Field(None, description="m, height of a cylinder along z; more than 0")
     inner_radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, radius of the cavity in a shell")
     scale: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, Plummer's radius a; half of the mass is within 1.3 a"

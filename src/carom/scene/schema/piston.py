@@ -18,7 +18,9 @@ class Piston(Section):
     """
 
     mass: Annotated[Positive, MASS] = Field(description="kg, more than 0")
-    force: Annotated[Real, FORCE] | None = Field(None, description="N, along the normal: presses on the bodies if > 0")
+    force: Annotated[Real, FORCE] | None = Field(
+        None, description="N, force along the normal; a positive force presses on the bodies"
+    )
     pressure: Annotated[Real, PRESSURE] | None = Field(
         None,
         description=(
@@ -26,7 +28,7 @@ class Piston(Section):
             "piston moves, of `domain.size`"
         ),
     )
-    velocity: Annotated[Real, VELOCITY] = Field(0.0, description="m/s, along the normal, at the start")
+    velocity: Annotated[Real, VELOCITY] = Field(0.0, description="m/s, velocity along the normal at the start")
     max_speed: Annotated[Positive, VELOCITY] | None = Field(
         None, description="m/s, up to which its load accelerates it; by default without end"
     )

@@ -18,12 +18,12 @@ class Release(Section):
     scene, as soon as nothing overlaps it there.
     """
 
-    at: Annotated[NonNegative, TIME] = Field(0.0, description="s, when the first body enters; not negative")
+    at: Annotated[NonNegative, TIME] = Field(0.0, description="s, time at which the first body enters; not negative")
     rate: Annotated[Positive, RATE] | None = Field(
-        None, description="1/s, bodies that enter one by one, in their order; by default, all enter together"
+        None, description="1/s, rate at which bodies enter one by one, in their order; by default, all enter together"
     )
     until: Annotated[Positive, TIME] | None = Field(
-        None, description="s, from which on no body of the group enters; by default to the end"
+        None, description="s, time after which no body of the group enters; by default the end of the run"
     )
 
     @model_validator(mode="after")

@@ -30,19 +30,19 @@ class Units(Section):
     The simulation and the recording are in SI.
     """
 
-    length: str | None = Field(None, description='such as "km" or "au"; m by default')
-    time: str | None = Field(None, description='such as "h" or "day"; s by default')
-    mass: str | None = Field(None, description='such as "g" or "solar mass"; kg by default')
-    angle: str | None = Field(None, description='such as "deg"; rad by default')
-    velocity: str | None = Field(None, description='such as "km/s"; by default the length over the time')
+    length: str | None = Field(None, description='unit, such as "km" or "au"; m by default')
+    time: str | None = Field(None, description='unit, such as "h" or "day"; s by default')
+    mass: str | None = Field(None, description='unit, such as "g" or "solar mass"; kg by default')
+    angle: str | None = Field(None, description='unit, such as "deg"; rad by default')
+    velocity: str | None = Field(None, description='unit, such as "km/s"; by default the length over the time')
     acceleration: str | None = Field(
-        None, description='such as "standard gravity"; by default the length over the time squared'
+        None, description='unit, such as "standard gravity"; by default the length over the time squared'
     )
-    angular_velocity: str | None = Field(None, description='such as "rpm"; by default the angle over the time')
-    density: str | None = Field(None, description='such as "g/cm^3"; by default the mass over the length cubed')
+    angular_velocity: str | None = Field(None, description='unit, such as "rpm"; by default the angle over the time')
+    density: str | None = Field(None, description='unit, such as "g/cm^3"; by default the mass over the length cubed')
     energy: str | None = Field(
         None,
-        description='such as "erg", for printed numbers only; by default mass times length squared over time squared',
+        description='unit, such as "erg", for printed numbers only; by default mass times length² over time²',
     )
 
 

@@ -25,7 +25,7 @@ class Shear(Section):
 
     rate: Annotated[Real, RATE] = Field(description="1/s, change of the velocity along the gradient")
     flow: Axis = Field("x", description="axis of the mean velocity")
-    gradient: Axis = Field("y", description="axis along which it changes")
+    gradient: Axis = Field("y", description="axis along which the mean velocity changes")
 
     @model_validator(mode="after")
     def _axes_differ(self) -> Self:

@@ -172,7 +172,7 @@ class PassingBodies(OptionalPart):
 
     def _enter(self, which: IntArray) -> None:
         """Give bodies their mass, at their places, and the acceleration with which the step begins."""
-        assert self._forces is not None, "a world joins its parts to its forces"
+        assert self._forces is not None, "the world must join its forces to this part first"
         bodies, before = self._bodies, sum(self._forces.potentials().values())
         bodies.position[which], bodies.velocity[which] = self._place[which], self._velocity[which]
         for name in ("orientation", "angular_velocity"):
@@ -187,7 +187,7 @@ class PassingBodies(OptionalPart):
 
     def _leave(self, which: NDArray[np.intp]) -> None:
         """Remove bodies and their contacts from the physics."""
-        assert self._forces is not None, "a world joins its parts to its forces"
+        assert self._forces is not None, "the world must join its forces to this part first"
         before, through = sum(self._forces.potentials().values()), self._through[which]
         motion = self._motion_of(which, 0.0)
         for column, amounts in enumerate((np.ones(len(which)), self._mass[which])):
