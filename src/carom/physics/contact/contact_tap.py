@@ -65,9 +65,10 @@ class Impulses(NamedTuple):
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
     time: FloatArray  # (k,) s, time of each impulse
     turns: bool = True  # whether λ_t acts at the contact point; otherwise at both centres
-    # (k,) whether the contact closed faster than its rest speed; None: all contacts were held
+    # (k,) whether the contact closed faster than its rest speed; None means that all contacts were held
     impact: BoolArray | None = None
-    approach: FloatArray | None = None  # (k,) m/s, closing speed before the impulses; None: all contacts were held
+    # (k,) m/s, closing speed before the impulses; None means that all contacts were held
+    approach: FloatArray | None = None
     angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ if the law resists rolling
     ordered: bool = False  # whether impulses acted one by one; otherwise all impulses of a moment acted together
 

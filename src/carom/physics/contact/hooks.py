@@ -52,7 +52,8 @@ class PresentStep:
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is already booked
     last_kick: float = 0.0  # s, length of the kick after the drift
     path: DampedPath = STRAIGHT
-    against: FloatArray | None = None  # (n + p, 3) m/s², accelerations that contacts act against; None: the bodies' own
+    # (n + p, 3) m/s², accelerations that contacts act against; None means the accelerations of the bodies
+    against: FloatArray | None = None
     impacts: Impacts = NO_IMPACTS  # impacts during the drift
     audit: KickAudit | None = None
     # (k,) m, displacements of guided walls along their normals by the correction of overlaps

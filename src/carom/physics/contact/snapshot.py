@@ -141,7 +141,7 @@ class SnapshotSource:
 
     def forget(self) -> None:
         """Return to the state before the first step."""
-        self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None: not yet made
+        self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None before the snapshot is made
         self._place = np.empty(0, dtype=np.int64)  # (m,) indices of the contacts' records; -1 for idle contacts
         self._impacts = NO_IMPACTS
 

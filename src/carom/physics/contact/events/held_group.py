@@ -16,10 +16,11 @@ are held doubles, until it covers the whole drift.
 
 Where no contact of the group dissipates (e = 1), the impulses are twice the impulses that end the closing at the
 present time. These impulses reverse the closing component of √m v instead of removing it, so the energy is conserved. A
-light ball between a heavy ball and a wall then turns the heavy ball round as its remaining impacts would. It does so
-too early, by twice the time that the heavy ball needs to cover the remaining gap. As soon as an impact has acted on
-several contacts, the bodies continue with single impacts. A body that is exhausted again and again, such as a ball
-between two walls that nearly touch it, stays in its place, closes no contact, and rebounds at the end of the drift.
+light ball between a heavy ball and a wall then turns the heavy ball round as its remaining impacts would. The heavy
+ball turns too early, by twice the time that the heavy ball needs to cover the remaining gap. As soon as an impact has
+acted on several contacts, the bodies continue with single impacts. A body that is exhausted again and again, such as a
+ball between two walls that nearly touch it, stays in its place, closes no contact, and rebounds at the end of the
+drift.
 
 Rejected: impulses with e = 0 one by one, which are as many as the impacts; leaving an exhausted body out of the drift,
 so that others pass through it.

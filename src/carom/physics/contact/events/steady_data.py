@@ -48,7 +48,7 @@ class SteadyBuffers(NamedTuple):
     flags: BoolArray  # (2,)
     counts: RecordArray[BlockCountsRecord]  # (1,)
     near: IntArray  # (n (n - 1) / 2, 2) pairs that may meet during the drift
-    later: Neighbours  # the same pairs as the neighbours of each body
+    later: Neighbours  # the pairs in `near`, as the neighbours of each body
 
 
 class SteadyContacts(NamedTuple):

@@ -58,7 +58,7 @@ class QueuedRecord(Protocol):
     """A body in the event queue."""
 
     impact_time: float  # s, time of the body's next impact; infinite without one
-    partner: int  # other end of that impact: body j, or n + p for plane p
+    partner: int  # other end of the body's next impact: body j, or n + p for plane p
     queue_place: int  # place in the event queue; -1 outside
 
 

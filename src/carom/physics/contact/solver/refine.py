@@ -74,7 +74,7 @@ RADIUS_TOLERANCE = 3e-5  # tolerated closing speed, in smaller radii per step
 # Rejected: 10⁻³ in meshed islands. A heap of 1000 (benchmarks/heap.py) then falls 1.1 times as fast, with the same
 # overlaps, but at rest its steps take 1.7 times as long.
 DEEP = 5e-3  # overlap, in smaller radii, of a resting contact that has been sinking for many steps
-DEEP_TOLERANCE = 1e-2  # tolerated closing speed of such a contact, relative to the rest speed
+DEEP_TOLERANCE = 1e-2  # tolerated closing speed of a deep contact, relative to the rest speed
 
 
 @inner
