@@ -319,7 +319,7 @@ def auto_interval(scene: Scene, duration: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class StepLimits:
-    """The limits of the step, by their keys; None where one does not apply."""
+    """The limits of the step, by their keys; None in place of a limit that does not apply."""
 
     max_dt: float  # s; infinite for no limit
     cfl: float | None

@@ -19,7 +19,7 @@ class StepPart(NamedTuple):
     # arguments: a scene, its requirements, and whether contacts are recorded
     is_required: Callable[[Scene, Requirements, bool], bool]
     key: KeyPath  # key of the scene that asks for the part
-    remedy: Callable[[Scene], str]  # returns what a user can do without the part
+    remedy: Callable[[Scene], str]  # returns the remedy for a user whose installation lacks the part
     # module:attribute of the function that refuses scenes for the part, given a scene, its placed bodies and
     # half-spaces
     refusals: str = ""
