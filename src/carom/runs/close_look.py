@@ -220,8 +220,8 @@ def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
     """Return the remainder of a difference that exceeds the velocity changes that loads allow, times ``share``.
 
     Each load allows a difference of twice its change in a step, since an impact may reverse the load. All loads
-    together may leave a smaller remainder than one after the other: a light ball between two heavy ones is pushed out
-    across two normals that are nearly opposite.
+    together may leave a smaller remainder than loads that are taken one after the other: a light ball between two heavy
+    ones is pushed out across two normals that are nearly opposite.
     """
     rest, along = vector, np.array([2.0 * load.speed * share * load.direction for load in loads]).T
     size = float(np.abs(along).max(initial=0.0))
