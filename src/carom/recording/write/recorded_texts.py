@@ -37,7 +37,7 @@ for chunk in store.stream().filter(content="/energy/total", is_static=False):
 
 
 def about_document(header: Header, clock: TimeScale) -> str:
-    """Return the text at /about, in Markdown: it says what the file is, and how to read it without carom."""
+    """Return the text at /about, in Markdown: it describes the file, and how to read it without carom."""
     version = str(header.properties.get("version.carom", ""))
     carom = f"carom {literal(version)}".rstrip()
     source = f"It was recorded from {literal(header.engine)}." if header.engine else "carom computed it."
@@ -77,7 +77,7 @@ def _timelines(header: Header, clock: TimeScale) -> Iterator[str]:
 
 
 def _entities(header: Header) -> Iterator[tuple[str, str, str]]:
-    """Yield each entity, what it is, and its components with their units."""
+    """Yield each entity, its description, and its components with their units."""
 
     def unit(si: str) -> str:
         return header.units.recorded_unit(si)
