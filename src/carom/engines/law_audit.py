@@ -70,7 +70,7 @@ class LawAudit:
         self,
         setup: Setup,
         tolerances: Tolerances,
-        names: Names,  # of bodies and planes
+        names: Names,  # names of bodies and planes
         units: UnitSystem = SI,  # units of the numbers, also in messages of faults
         ends: IntArray | None = None,  # (n + p,) numbers of bodies and planes in names and faults; by default indices
     ) -> None:

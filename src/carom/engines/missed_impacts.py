@@ -102,8 +102,8 @@ class MissedImpacts:
         adjacent = near.pairs[np.minimum(near.gap_before, near.gap_now) <= MARGIN * near.small]
         others = np.bincount(adjacent.ravel(), minlength=ends) - 1
         others[n:] = 0
-        # others can push only bodies whose velocity changes, now or in the previous step: engines look for pairs with
-        # the velocities at the start of a step
+        # other contacts can push only bodies whose velocity changes, now or in the previous step: engines look for
+        # pairs with the velocities at the start of a step
         change = (
             near.relative_now - near.relative_before + np.where(plane[:, None], self._setup.gravity * place[2], 0.0)
         )
@@ -160,7 +160,7 @@ class MissedImpacts:
         """Yield the impacts that took more steps than usual; none if the engine has no usual number.
 
         Engines that find contacts within a margin resolve slow impacts earlier than fast ones. An impact is therefore
-        also compared with the impacts that are not much slower, without the others.
+        also compared with only those impacts that are not much slower.
         """
         speed, steps = np.array(self._resolved, dtype=np.float64).reshape(-1, 2).T
         for impact in self._late:

@@ -20,8 +20,8 @@ def judge_reported(
     """Yield the laws that reported contacts, (m,) `CONTACT`, break between two moments.
 
     ``friction`` is the fraction of the work of friction that may have the wrong sign, and ``slow`` is the largest speed
-    (m/s) of contacts at rest. Friction counts as acting along the slip only if it does so before and after the step,
-    since an engine may have computed contacts at either time.
+    (m/s) of contacts at rest. Friction counts as acting along the slip only if it acts along the slip before and after
+    the step, since an engine may have computed contacts at either time.
     """
     dt = now.time - before.time
     i, j = contacts["i"], contacts["j"]

@@ -82,6 +82,7 @@ class State:
     angular_velocity: Any = None  # (n, 3) rad/s, in the world frame; None if the engine has none
     contacts: Any = None  # (m,) `CONTACT` with forces, or (m, 2) touching bodies, n + k for plane k; None: unknown
     # (n,) whole numbers that identify the bodies of this state, if bodies come and go; None: the bodies of the first
+    # state
     ids: Any = None
     mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; both may change during the run
     radius: Any = None  # ends, and another begins

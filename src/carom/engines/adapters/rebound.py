@@ -67,7 +67,7 @@ class ReboundSource:
         has_gravity = _setting_name(simulation, "gravity") != "none"
         periodic = _setting_name(simulation, "boundary") in ("periodic", "shear")
         roots = ("N_root_x", "N_root_y", "N_root_z")
-        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # also true if no units were set
+        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # true if no units were set, too
         self.model = Model(
             engine=named_version("rebound"),
             mass=mass,
