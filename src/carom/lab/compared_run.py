@@ -47,7 +47,7 @@ class Setting:
 
     name: str  # a name such as "integrator = euler, steps 2 times as long"
     overrides: tuple[str, ...]  # as given to ``--set``
-    threads: int | None = None  # number of threads; None for the study's number
+    threads: int | None = None  # number of threads; None for the number of threads of the study
     engine: str = ""  # name of another engine whose own keys `overrides` has; empty for carom
 
     def apply(self, scene: Scene) -> Scene:

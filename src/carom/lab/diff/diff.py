@@ -104,7 +104,7 @@ class Impact:
 
 @dataclass(frozen=True, slots=True)
 class ImpactPair:
-    """An impact in both recordings; None in a recording that lacks it."""
+    """An impact in both recordings; None in a recording that lacks the impact."""
 
     a: Impact | None
     b: Impact | None

@@ -91,7 +91,7 @@ class Grid:
         for axis in range(3):
             first = (start[:, axis] - self.origin[axis]) / self.cell[axis]
             offsets = [np.zeros(len(start))]
-            # both images along the gradient have cells of their own
+            # the two images along the gradient have separate cells
             if self.shear is not None and axis == self.shear.axes[0]:
                 moved = self.shift(time) / self.cell[axis]
                 offsets += [moved, -moved]

@@ -33,7 +33,7 @@ class Ending:
 
 
 def last_ending(scenes: Sequence[tuple[int, int]]) -> Ending | None:
-    """Run scenes, each given by its seed and number, one after the other; return the last scene's end.
+    """Run scenes, given by their seeds and numbers, one after the other; return the last scene's end.
 
     The end is None if that scene is refused or abandoned.
     """

@@ -120,7 +120,7 @@ def _drawn(draw: Draw) -> Drawn:
 
 
 def _suit(document: Document) -> None:
-    """Remove what the integrator refuses."""
+    """Remove the parts of a scene that its integrator refuses."""
     time, contact = document["time"], document["contact"]
     if "drag" in document and time["integrator"] != "auto":
         time["integrator"] = "leapfrog"

@@ -187,7 +187,8 @@ class Reducer:
     # called with each smaller scene and its failure
     keep: Callable[[Document, str], None] = lambda document, said: None
     before: tuple[int, int] | None = None  # bodies and steps of the original scene, if an earlier reduction began there
-    workers: int | None = 1  # processes for candidates of delta debugging; None: one for each core; 1: this process
+    # processes for candidates of delta debugging; None means one process for each core, and 1 means this process alone
+    workers: int | None = 1
     _progress: ReducerProgress = field(default_factory=ReducerProgress)
     _stages: list[Stage] = field(default_factory=list)
 

@@ -225,7 +225,7 @@ class _Ball:
             self._slide(n, law.kinetic_friction * pressed, end, plane)
 
     def _follow(self, path: _Path, end: float, plane: int = -1) -> None:
-        """Follow a path to the first plane on it, other than the plane that holds the ball."""
+        """Follow a path to the first plane that it meets; the plane that holds the ball does not count."""
         left, first = end - self.t, math.inf
         for k in range(len(self.offset)):
             if k != plane:

@@ -99,7 +99,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
                 found["gravity.quadrupoles"] = ("true", "false")
         else:
             found["gravity.method"] = ("tree",)
-    if scene.has_piston:  # other values are refused in scenes with pistons
+    if scene.has_piston:  # scenes with pistons refuse other values of this key
         for key in ("time.integrator", "contact.solver"):
             found.pop(key, None)
     # the values of the scene, with automatic ones resolved

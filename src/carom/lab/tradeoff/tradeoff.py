@@ -66,7 +66,7 @@ ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # round-off of a whole run, relative to its scale
 WORK = 3e7  # most steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
 BODIES_PER_STEP = 30  # number of bodies whose step takes as long as a step without bodies
-DEARER = 30.0  # steps that a bounded setting may always make, in multiples of the scene's own
+DEARER = 30.0  # steps that a bounded setting may always make, in multiples of the steps of the scene as written
 CERTAIN = 6  # fewest costs whose range contains the median with 95 % probability
 WRITING = 1.0  # s between two writings of the document while short runs are timed
 MARGIN = 2.0  # smallest allowed ratio of the shortest compared step to the step of a refined reference
@@ -91,7 +91,7 @@ class Study:
     bounded
         Whether each setting is also stopped after a number of steps, see `WORK`, as which applies to default settings.
     budget
-        s that all measurements may take; None for `RUNS` times the time of the scene as written.
+        s that all measurements may take; None for `RUNS` times the time that the scene takes as written.
 
     Raises
     ------
