@@ -256,8 +256,8 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
     time
         (K,) s.
     trajectories
-        The reference first, which is drawn in grey. Each other family has a colour, and so does each run without a
-        family. Among runs that share a colour, the first has a wide curve. A few bodies are filled with their own
+        The reference first, which is drawn in grey. Each other family has a colour, and each run without a family has
+        one, too. Among runs that share a colour, the first has a wide curve. A few bodies are filled with their own
         colours, and have wires and paths in the colour of the run.
     """
     title, radius = space.scene.title, space.state.radius

@@ -351,7 +351,7 @@ def uniform_field(recording: Recording, header: Header) -> FloatArray | None:
 
 
 def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
-    """Choose the pair of the close-up view; None if one of its bodies waits to enter, or has left."""
+    """Choose the pair of the close-up view; None if a body of the pair waits to enter, or has left."""
     chosen = pair_of_extreme(recording, "impact")
     if step.frame is not None and recording.closing.get("moments.impact.step") != step.step:
         chosen = pair_of_step(step.frame, header.bodies) or chosen

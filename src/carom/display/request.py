@@ -204,7 +204,7 @@ def _row_of(step: int, steps: IntArray) -> int | None:
 def _run(
     recording: Recording, goal: float, times: FloatArray, within: int | None, limit: float, dense: bool, watch: Watcher
 ) -> ShownStep | None:
-    """Repeat the steps until a step contains a time (s), or until the next frame; None if that takes too long.
+    """Repeat the steps until a step contains a time (s), or until the next frame; None if the search takes too long.
 
     If the time is the end of one step and the start of the next, ``within`` is the number of the step to show.
     """

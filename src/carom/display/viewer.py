@@ -44,7 +44,7 @@ _PANIC = re.compile(r"panicked at '([^\n]+?)'?$", re.MULTILINE)
 
 
 class Viewer:
-    """A viewer process. Leaving the context ends it, and so does the end of this process.
+    """A viewer process. Leaving the context ends the viewer; the end of this process ends it, too.
 
     Parameters
     ----------
