@@ -59,7 +59,7 @@ class KickDriftStepper:
 
     @property
     def checkpoint(self) -> None:
-        """None: a step depends only on the bodies, the contacts and `previous_dt`."""
+        """None, since a step depends only on the bodies, the contacts and `previous_dt`."""
 
     @property
     def previous_dt(self) -> float:

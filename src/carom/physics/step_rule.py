@@ -92,7 +92,7 @@ class RuleRecord(Protocol):
     anchored: bool  # whether anything is fixed; speeds are then relative to it
     measures_bodies: bool  # whether a limit needs the largest values of all bodies
     gravity_fraction: float  # η, the step as a fraction of the shortest time scale of gravity
-    examines_pairs: bool  # whether the shortest time scale is that of a pair, rather than of the largest acceleration
+    examines_pairs: bool  # whether the shortest time scale comes from a pair, rather than from the largest acceleration
     constant: float  # m³/(kg s²), G
     softening: float  # m
     mean: float  # m³/s², G times the mean mass

@@ -52,7 +52,7 @@ PIECES = 16  # most pieces per thread: enough for all threads to finish at about
 
 
 class Team:
-    """A leader and its helpers; ``threads`` is their number. Only one thread at a time may lead."""
+    """A leader and its helpers; ``threads`` is the number of threads. Only one thread at a time may lead."""
 
     least = 2  # fewest grains of work that are shared
 
