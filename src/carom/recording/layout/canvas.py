@@ -223,7 +223,8 @@ class Additions:
     inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
     caption: Sequence[str] = ()  # title of a plot that fills the picture
     viewer_time: str = ""  # how the viewer's times are related to the scene's unit of time, if they are not the same
-    recent: tuple[int, int] | None = None  # length of trails, in ns of the viewer and in steps; None: the whole past
+    # length of trails, in ns of the viewer and in steps; None means the whole past
+    recent: tuple[int, int] | None = None
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
 

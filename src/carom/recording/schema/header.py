@@ -160,7 +160,8 @@ class Header:
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
-    uniform_field: FloatArray | None = None  # (3,) m/s², field of another engine; None for carom, or if unknown
+    # (3,) m/s², field of another engine; None for carom, or for an unknown engine
+    uniform_field: FloatArray | None = None
     gravity_constant: float = 0.0  # m³ kg⁻¹ s⁻², constant of another engine's own gravity; 0 for carom
     gravity_softening: float = 0.0  # m
     exact: bool = False  # whether every frame has a checkpoint

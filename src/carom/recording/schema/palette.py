@@ -132,8 +132,8 @@ def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     """Return colours of the same hues that have a contrast of at least 3 to 1 on a background.
 
     The theme "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for
-    white paper. By default, the colours suit both themes. Colours of curves must do so, since plots have the background
-    of the viewer's theme.
+    white paper. By default, the colours suit both themes. Colours of curves must be visible on both backgrounds, since
+    plots have the background of the viewer's theme.
     """
     given = np.array([*colours], dtype=np.uint32)
     return given if theme == "dark" else _within(given, 0.0 if theme else _DARKEST, _BRIGHTEST)

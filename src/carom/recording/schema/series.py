@@ -87,7 +87,7 @@ class Series:
     plot: Plot | None  # one of `PLOTS`; None if the series is recorded, but not plotted
     value: Callable[[Sample], float]
     meaning: str  # meaning, for docs/recording.md
-    # part of the model (`carom explain`) that the series requires; None: it is always recorded
+    # part of the model (`carom explain`) that the series requires; None means that the series is always recorded
     part: str | None = None
     width: float = THIN
     inside: bool = False  # whether the series describes carom's own solver, so that runs of other engines lack it
