@@ -184,7 +184,7 @@ def value_text(value: Any) -> str:
     if isinstance(value, int):
         return int.__repr__(value)
     if isinstance(value, float):
-        return float.__repr__(value)  # also for subclasses of float, such as NumPy's
+        return float.__repr__(value)  # true for subclasses of float, too, such as NumPy's
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {value_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):

@@ -70,7 +70,7 @@ class HalfSpaces:
 
     @property
     def owner(self) -> IntArray:
-        """The number of each end of contacts among them: their own, followed by those of the walls of facets."""
+        """The number of each end of contacts among them: their own, followed by the numbers of walls of facets."""
         return np.arange(len(self))
 
     @property

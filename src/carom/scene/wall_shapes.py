@@ -18,7 +18,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.scene.installed_forces import numbers_of
 from carom.scene.units.system import UnitSystem
 
-CONTENT = "content"  # key of a section in which carom keeps what a shape has read from a file
+CONTENT = "content"  # key of a section in which carom keeps the data that a shape has read from a file
 SIDES = 96  # edges around a drawn surface of revolution
 
 

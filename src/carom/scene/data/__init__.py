@@ -42,7 +42,7 @@ class MotionLaw(NamedTuple):
     softening: float
     collides: bool
     integrated: str = ""  # integrator and step of the file's program, in words
-    integrator: str = ""  # the same integrator in carom, if there is one
+    integrator: str = ""  # carom's integrator of the same method, if there is one
     ghosts: tuple[int, int, int] = (0, 0, 0)  # images of the file's box on each side along x, y and z
 
 
@@ -169,7 +169,7 @@ _FLAGS = {**dict.fromkeys(("true", "t", "yes", "y", "1"), True), **dict.fromkeys
 
 
 def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
-    """Return a column of true and false, yes and no, or 1 and 0."""
+    """Return a column of booleans, written as true and false, yes and no, or 1 and 0."""
     if raw.dtype.kind == "b":
         return raw.astype(np.bool_)
     if raw.dtype.kind in "fiu" and np.isin(raw, (0, 1)).all():

@@ -315,7 +315,8 @@ def _lattice(comment: str) -> FileBox | None:
     corner = _ORIGIN.search(comment)
     low = [number_in(word) or 0.0 for word in corner[1].split()] if corner else [0.0, 0.0, 0.0]
     repeated = _PERIODIC.search(comment)
-    signs = repeated[1].split() if repeated else ["T", "T", "T"]  # as in ASE and OVITO, the lattice repeats by default
+    # the lattice repeats by default; ASE and OVITO use the same default
+    signs = repeated[1].split() if repeated else ["T", "T", "T"]
     periodic = "".join(axis for axis, sign in zip("xyz", signs, strict=False) if sign.upper()[:1] in ("T", "1"))
     return FileBox((*low[:3],), tuple(float(vectors[k] or 0.0) for k in (0, 4, 8)), periodic) if len(low) == 3 else None
 
