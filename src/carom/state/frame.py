@@ -26,7 +26,7 @@ class CollisionGraph:
     colours: IntArray  # (m,) stage in which the contact is resolved
     # (n,) colouring of the nodes by the rule of the reference engine (docs/validation.md); -1 without contacts
     body_colours: IntArray | None = None
-    # (m,) s, time from the start of the step to the first impact of each contact; None: the end of the step
+    # (m,) s, time from the start of the step to the first impact of each contact; None means the end of the step
     into_step: FloatArray | None = None
 
     def __len__(self) -> int:
