@@ -13,7 +13,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, dtype_of
 
-MODES = ("impact", "sticking", "sliding", "resting", "open")  # `mode` is an index into these
+MODES = ("impact", "sticking", "sliding", "resting", "open")  # `mode` is an index into these names
 IMPACT_MODE, STICKING, SLIDING, RESTING, OPEN = range(len(MODES))
 # impact: closed faster than the rest speed; sticking, sliding: by Coulomb's law; resting: without friction in the
 # model; open: touches without an impulse
