@@ -48,7 +48,7 @@ def test_a_torque_that_differs_from_the_others_is_named(part: float) -> None:
 
 def test_an_engine_with_another_inertia_is_named_from_its_first_contact_on() -> None:
     found = named(torques(np.full(COUNT, 0.8)))
-    assert [step for step, *_ in found] == list(range(COUNT)) and "as others do, by 0." in found[0][2].what
+    assert [step for step, *_ in found] == list(range(COUNT)) and "like other bodies, by 0." in found[0][2].what
 
 
 def test_spins_in_the_frame_of_the_body_are_named_once_they_differ() -> None:

@@ -393,7 +393,7 @@ def test_a_state_that_is_not_finite_writes_the_last_frames_and_ends_the_recordin
     assert toy.steps == FAULT
     assert Recording.open(path).fingerprints()["step"].to_pylist() == list(range(FAULT - 5, FAULT))
     assert Recording.open(path).outcome.startswith("failed: Velocity of body 2")
-    said = f"carom: {path}: Velocity of body 2 is nan in component 1. The recording ends before it.\n"
+    said = f"carom: {path}: Velocity of body 2 is nan in component 1. The recording ends before this state.\n"
     assert capfd.readouterr().err == said and [f"carom: {path}: {text}\n" for text in recorder.problems] == [said]
 
 
@@ -681,7 +681,7 @@ def test_a_clock_that_goes_back_ends_the_recording_with_the_frames_before_it(las
         assert not recorder.frame() and not recorder.frame()
     recording = Recording.open(tmp_path / "run.rrd")
     assert recording.frames == (last or 6)
-    assert recording.outcome == f"failed: {recorder.problems[0].removesuffix(' The recording ends before it.')}"
+    assert recording.outcome == f"failed: {recorder.problems[0].removesuffix(' The recording ends before this state.')}"
     assert "the time decreased from 0.01 to 0 s" in recording.outcome
 
 

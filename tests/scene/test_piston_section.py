@@ -47,7 +47,9 @@ def test_impacts_with_a_piston_are_resolved_at_their_own_times_unless_the_scene_
 def test_a_pressure_acts_on_the_face_of_the_box() -> None:
     pressed = scene({"mass": 1.0, "pressure": 10.0}, domain={"size": [2.0, 3.0, 4.0], "boundary": "walls"})
     assert sides_of_face(pressed, 1) == (Side(2.0, ()), Side(3.0, ()))
-    with pytest.raises(SceneError, match=r"needs domain.size, for the area on which it acts; give the force instead"):
+    with pytest.raises(
+        SceneError, match=r"needs domain.size, to define the area on which its pressure acts; give the force instead"
+    ):
         scene({"mass": 1.0, "pressure": 10.0})
     with pytest.raises(SceneError, match="leave one out"):
         scene({"mass": 1.0, "pressure": 10.0, "force": 1.0})

@@ -129,7 +129,11 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         return
     unchecked = "not checked, since planes, walls or fixed bodies may change it"
     yield "momentum", unchecked if linear is None else f"error at most {error_text(linear)}"
-    unknown = "not conserved in a periodic box" if linear is not None else "not checked, for the same reason"
+    unknown = (
+        "not conserved in a periodic box"
+        if linear is not None
+        else "not checked, since planes, walls or fixed bodies may change it"
+    )
     yield "angular momentum", unknown if angular is None else f"error at most {error_text(angular)}"
 
 

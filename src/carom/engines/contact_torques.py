@@ -78,12 +78,12 @@ class ContactTorques:
         way, off_then = _usual_way(np.median(ratios, axis=0)[:, None] * ways, seen)
         ratio, beside = float(np.median(ratios[:, way])), float(np.quantile(off_then, MOSTLY))
         if abs(ratio - 1.0) > max(2.0 * OFF, BETTER * beside):
-            what = f"changes its spin, as others do, by {ratio:.3g} times what its contacts give a body of its inertia"
+            what = f"changes its spin, like other bodies, by {ratio:.3g} times what its contacts explain"
             yield from self._above(_off(ways[:, way], seen), max(SURELY, SPREADS * beside), what)
             return
         if usual < EXACT:
             yield from self._above(
-                off, max(OFF, SPREADS * usual), "changes its spin differently from what its contacts give"
+                off, max(OFF, SPREADS * usual), "changes its spin in another way than its contacts would"
             )
 
     def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[BrokenThen]:

@@ -388,7 +388,7 @@ class Recorder:
     def _end(self, call: int, text: str, faults: tuple[Fault, ...]) -> None:
         """End the recording before the present state, and add a note with the reason."""
         self._ended = f"failed: {text}"
-        self._unrecorded.add(call, self._time_of_note, text, "The recording ends before it.", ends=True)
+        self._unrecorded.add(call, self._time_of_note, text, "The recording ends before this state.", ends=True)
         sink, self._sink = self._sink, None
         self.faults = list(faults)
         if self._ring:

@@ -358,7 +358,9 @@ class ContactTree:
                 allowed = SPUN * float(np.sqrt(arm @ arm)) + r * self._noise + loose * largest
                 excess.append(0.0 if resists or not allowed > 0.0 else float(np.sqrt(rest @ rest)) / allowed)
             if min(excess) > 1.0:
-                yield Broken(SPIN, min(excess), (number,), "spins up by a torque that no force at its surface has")
+                yield Broken(
+                    SPIN, min(excess), (number,), "spins up by a torque that no force at its surface can exert"
+                )
 
     def _spins_on(self, body: int, k: int, torque: FloatArray) -> Iterator[FloatArray]:
         """Yield spins (3,) relative to the other end of contact k: before its torque, after it, and after the step."""

@@ -24,13 +24,17 @@ class RestitutionTable(Section):
         min_length=2, max_length=MOST, description="m/s, closing speeds, from slow to fast; 2 to 6 of them"
     )
     restitutions: tuple[Annotated[float, Field(strict=True, ge=0, le=1)], ...] = Field(
-        min_length=2, max_length=MOST, description="rebound speed over approach speed at each of them, from 0 to 1"
+        min_length=2,
+        max_length=MOST,
+        description="speed of rebound over speed of approach at each of `speeds`, from 0 to 1",
     )
 
     @model_validator(mode="after")
     def _is_a_function(self) -> Self:
         if len(self.speeds) != len(self.restitutions):
-            raise ValueError(f"{len(self.speeds)} speeds, {len(self.restitutions)} restitutions; give one for each")
+            raise ValueError(
+                f"{len(self.speeds)} speeds, {len(self.restitutions)} restitutions; give one restitution for each speed"
+            )
         if any(after <= before for before, after in pairwise(self.speeds)):
             raise ValueError("speeds must increase, each one faster than the one before")
         return self

@@ -62,7 +62,7 @@ def contact(scene: Scene) -> Part:
     if not scene.contact.enabled:
         return Part(name, False, "contact.enabled = false")
     if scene.admits:
-        return Part(name, True, "bodies enter, and may touch what is there")
+        return Part(name, True, "bodies enter, and may touch other bodies")
     walls = len(scene.wall) + 2 * len(scene.domain.walled)
     solids = [counted(count, noun) for count, noun in ((len(scene.plane), "plane"), (walls, "wall")) if count]
     if scene.count == 1 and not solids:

@@ -40,7 +40,7 @@ REPAIRED = "; repaired, "  # marks the outcome of a repaired recording, which ma
 CHOICE = "which impacts, arrows and checkpoints were kept"
 OUTCOME = "the outcome"
 DENSE = "all but the exact states, since every step has a frame"
-INTERVAL = "the interval of the checks, which is not the scene's"
+INTERVAL = "the interval of the checks, which differs from the scene's"
 
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
 

@@ -383,11 +383,12 @@ def shortfall_text(scene: Scene) -> str:
     if promise is None or accuracy is None or promise.horizon is None:
         return ""
     if promise.is_extrapolated:
-        why = f"its error, extrapolated from t = {units.text(promise.looked or 0.0, TIME, '.4g')} on, grows beyond that"
+        looked = units.text(promise.looked or 0.0, TIME, ".4g")
+        why = f"its error, extrapolated from t = {looked} on, grows beyond this accuracy"
     elif promise.looked is not None:
         why = f"the budget of the trial runs ended at t = {units.text(promise.looked, TIME, '.4g')}"
     else:
-        why = "its error grows beyond that, first where bodies are fastest"
+        why = "its error grows beyond this accuracy, first where bodies are fastest"
     text = f"cannot promise accuracy = {accuracy:g} to the end: {why}; it is kept up to t = "
     text += units.text(promise.horizon, TIME, ".4g")
     text += ", where the run ends" if scene.time.after_horizon == "end" else ", and ordinary steps go on from there"

@@ -49,7 +49,7 @@ def take_over_laws(
                 taken[key] = number
             own = taken.get(key, units.shown(getattr(scene.gravity, key), dimension))
             if taken.get(key) == number:
-                notes.append(f"gravity.{key} = {number:g} is taken from it")
+                notes.append(f"gravity.{key} = {number:g} is taken from the file")
             elif number == 0.0 and key == "softening" and own > 0.0:
                 notes.append(f"it has no softening, but the scene has {own:g}")
             elif not math.isclose(own, number, rel_tol=_SAME_LAW):

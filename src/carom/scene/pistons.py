@@ -47,7 +47,9 @@ def sides_of_face(scene: Enclosed, number: int) -> tuple[Side, Side]:
     own = _axis_of(scene, number)
     if own is None:
         key = "plane", number, "piston", "pressure"
-        raise SectionError(key, "needs a normal along x, y or z, for the area on which it acts; give the force instead")
+        raise SectionError(
+            key, "needs a normal along x, y or z, to define the area on which its pressure acts; give the force instead"
+        )
     first, second = (_side(scene, number, axis) for axis in range(3) if axis != own)
     return first, second
 
@@ -57,7 +59,9 @@ def _side(scene: Enclosed, number: int, axis: int) -> Side:
     moving = tuple(plane for plane in pistons_of(scene) if _axis_of(scene, plane) == axis)
     if not moving:
         if size is None:
-            raise SectionError(key, "needs domain.size, for the area on which it acts; give the force instead")
+            raise SectionError(
+                key, "needs domain.size, to define the area on which its pressure acts; give the force instead"
+            )
         return Side(size[axis], ())
     low, high = [], []
     if size is not None and axis in scene.domain.walled:
@@ -69,8 +73,8 @@ def _side(scene: Enclosed, number: int, axis: int) -> Side:
         called = scene.plane[moving[0]].name or f"plane.{moving[0]}"
         raise SectionError(
             key,
-            f"needs a plane opposite to {called}, for the area on which it acts; add one along {AXES[axis]}, or "
-            "give the force instead",
+            f"needs a plane opposite to {called}, to define the area on which its pressure acts; add one along "
+            f"{AXES[axis]}, or give the force instead",
         )
     return Side(min(high) - max(low), moving)
 

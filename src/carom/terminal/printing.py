@@ -52,7 +52,10 @@ def mention_killed_run(file: Path) -> None:
 
     if (left := killed_run_of(file)) is not None:
         kept = f"`{command('resume', left)} -o {shlex.quote(str(file))} --force` continues it in place of {file}"
-        say(f"carom: {left}: a later run of {file}, which was killed; {kept}, deleting it drops it", err=True)
+        say(
+            f"carom: {left}: a later run of {file}, which was killed; {kept}; without {left}, that run is lost",
+            err=True,
+        )
 
 
 def finite(value: Any) -> Any:

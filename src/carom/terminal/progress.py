@@ -175,7 +175,7 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
         return ""
     limit = scene.unit_system.text(interval, TIME, ".3g" if automatic else "g")
     if automatic:
-        long = f"frames are recorded at ends of steps, which were long; time.max_dt = {limit} gives more frames"
+        long = f"frames are recorded at ends of steps, and steps were long; time.max_dt = {limit} gives more frames"
         # steps may be shorter than the interval of frames, for instance in a close encounter
         without = outcome.steps + 1 - outcome.frames
         if 0 < without <= FEW_STEPS:

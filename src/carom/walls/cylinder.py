@@ -26,7 +26,9 @@ class Cylinder(Section):
     point: Annotated[tuple[Real, Real, Real], LENGTH] = Field(
         (0.0, 0.0, 0.0), description="m, position [x, y, z] of any point of the axis"
     )
-    axis: tuple[Real, Real, Real] = Field((0.0, 0.0, 1.0), description="[x, y, z], its direction; any length but 0")
+    axis: tuple[Real, Real, Real] = Field(
+        (0.0, 0.0, 1.0), description="[x, y, z], direction of the axis; any length but 0"
+    )
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:

@@ -47,7 +47,7 @@ class Frustum(Section):
         (0.0, 0.0, 0.0), description="m, [x, y, z], centre of the first circle"
     )
     axis: tuple[Real, Real, Real] = Field(
-        (0.0, 0.0, 1.0), description="[x, y, z], direction to the end; any length but 0"
+        (0.0, 0.0, 1.0), description="[x, y, z], direction from `point` to the other end; any length but 0"
     )
 
     @model_validator(mode="after")

@@ -202,7 +202,7 @@ def test_a_promise_ends_where_an_extrapolated_error_grows_to_the_accuracy() -> N
     assert promise.error_at(0.99 * promise.horizon) <= 1e-4 < promise.error_at(1.01 * promise.horizon)
     text = shortfall_text(scene)
     assert "cannot promise accuracy = 0.0001 to the end: its error, extrapolated from t = " in text
-    assert "on, grows beyond that; it is kept up to t = " in text
+    assert "on, grows beyond this accuracy; it is kept up to t = " in text
 
 
 @pytest.mark.parametrize(("power", "rate"), [(2.0, 0.0), (3.0, 0.0), (2.0, 1.5), (2.5, 4.0)])

@@ -23,7 +23,7 @@ def test_the_scene_gives_radii_and_masses_that_rows_lack(tmp_path: Path) -> None
     assert bodies.name == ["A", "B", "D"]
     assert bodies.radius.tolist() == [0.5, 0.01, 0.01] and bodies.mass.tolist() == [1.0, 4.0, 3.0]
     assert made.notes[0][2:] == (
-        "a.csv: 1 row of 4 without a position left out",
+        "a.csv: 1 row of 4 left out, because a position is missing",
         "a.csv: 2 rows of 3 without a radius: radius = 0.01 m",
         "a.csv: 1 row of 3 without a mass: mass = 4 kg",
     )

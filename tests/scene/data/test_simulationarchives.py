@@ -85,7 +85,7 @@ def test_an_archive_says_what_is_taken_from_it_and_what_is_not(tmp_path: Path) -
     scene = scene_of(tmp_path)
     assert [note for note in notes_of(scene).splitlines() if "position from position" not in note] == [
         "a.bin: N_active = 1: 2 test particles, whose masses do not attract, have mass 0 here",
-        "a.bin: gravity.constant = 1 is taken from it",
+        "a.bin: gravity.constant = 1 is taken from the file",
         'a.bin: integrator = "ias15" is not taken over; time.integrator = "gauss-radau15" is this method',
     ]
     assert scene.gravity.constant == 1.0

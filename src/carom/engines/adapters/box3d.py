@@ -326,8 +326,8 @@ class Box3D(SteppedEngine):
         duller = any(plane.restitution < law.restitution for plane in planes)
         slippery = law.kinetic_friction == 0.0 and any(plane.kinetic_friction > 0.0 for plane in planes)
         lacks = {
-            "a plane with less restitution than the bodies, because it uses the larger restitution": duller,
-            "a plane with friction and bodies without, because it multiplies the coefficients": slippery,
+            "a plane with less restitution than the bodies, because Box3D uses the larger restitution": duller,
+            "a plane with friction and bodies without, because Box3D multiplies the coefficients": slippery,
             "contact.enabled = false": not problem.collides and not scene.contact.enabled,
         }
         refuse(self.name, lacks)

@@ -267,7 +267,7 @@ class PyBullet(SteppedEngine):
         law, planes = problem.between, problem.at_planes
         bounces = law.restitution == 0.0 and any(plane.restitution > 0.0 for plane in planes)
         rubs = law.kinetic_friction == 0.0 and any(plane.kinetic_friction > 0.0 for plane in planes)
-        what = "a plane that {} where bodies do not: it multiplies the coefficients"
+        what = "a plane that {} where bodies do not: PyBullet multiplies the coefficients"
         refuse(self.name, {what.format("bounces"): bounces, what.format("rubs"): rubs})
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:

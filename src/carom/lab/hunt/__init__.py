@@ -82,5 +82,9 @@ def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
 
 
 def _said(tally: Tally, miss: Miss) -> str:
-    where = f"{miss.path}, {counted(miss.bodies, 'body')}" if miss.path else "not saved, since this law already is"
+    where = (
+        f"{miss.path}, {counted(miss.bodies, 'body')}"
+        if miss.path
+        else "not saved, since a scene that breaks this law is saved already"
+    )
     return f"{miss.law}: scene {miss.index} of seed {tally.seed}: {miss.said}: {where}"

@@ -72,4 +72,4 @@ def difference(seed: int, index: int, here: Ending, before: Sequence[int], budge
     for other, together in zip(reversed(before), pairs, strict=True):
         if together != alone:
             return f"its bits differ after scene {other} of the same seed, in one process"
-    return "its bits differ alone in a new process, and after no other scene alone"
+    return "its bits differ when it runs alone in a new process, but not after any single other scene"

@@ -43,7 +43,7 @@ def shrink_command(
             "--while-command",
             metavar="COMMAND",
             help="A shell command that exits with 0 if the scene shows the failure. {} stands for the path of the "
-            "scene, which is otherwise appended.",
+            "scene; without {}, the path is appended.",
         ),
     ] = None,
     output: Annotated[

@@ -258,7 +258,7 @@ def _legend(noise: float) -> str:
         )
     return (
         "● No other setting is as accurate and as cheap. ? Another setting may be, but the times or the reference are "
-        "too uncertain. Without a mark: another setting is. Costs are medians, known to half their range, or to "
+        "too uncertain. Without a mark: another setting is both. Costs are medians, known to half their range, or to "
         f"{noise:.0%} where that is more."
     )
 
@@ -345,8 +345,8 @@ def tune_command(
         typer.Option(
             "--vary",
             metavar="KEY=A,B,C",
-            help="Measure only these values and their combinations, as for `carom tradeoff`. Default: search for the "
-            "cheapest setting, the step and one key after the other.",
+            help="Measure only these values and their combinations, in the form of `carom tradeoff`. Default: search for "
+            "the cheapest setting, the step and one key after the other.",
         ),
     ] = None,
     repeats: RepeatsOption = None,
@@ -354,7 +354,7 @@ def tune_command(
     limit: LimitOption = None,
     folder: Annotated[
         Path | None,
-        typer.Option("--study", metavar="DIR", help="Folder of the measurements, as for `carom tradeoff`."),
+        typer.Option("--study", metavar="DIR", help="Folder of the measurements, shared with `carom tradeoff`."),
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,

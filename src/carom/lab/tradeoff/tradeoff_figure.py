@@ -97,7 +97,7 @@ def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None
         figure.suptitle(title, fontsize=10)
         ended = [entry for entry in document["settings"] if entry["status"] in ("stopped", "failed")]
         ends = [in_figure(f"{_short(entry)}: {entry['reason']}") for entry in ended]
-        words = "filled: no other setting is as accurate and as cheap; ring: undecided; faint: another setting is"
+        words = "filled: no other setting is as accurate and as cheap; ring: undecided; faint: another setting is both"
         noise = f"costs with their uncertainty, {document['noise']:.1%} or more; lines join steps of a setting"
         figure.legend(
             handles=[

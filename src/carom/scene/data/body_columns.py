@@ -251,7 +251,7 @@ class _Reader:
             self._keep(there)
             if self._rows < before:
                 gone = counted(before - self._rows, "row")
-                self.notes.append(f"{self._called}: {gone} of {before} without a position left out")
+                self.notes.append(f"{self._called}: {gone} of {before} left out, because a position is missing")
 
     def _keep(self, mask: BoolArray) -> None:
         self.kept = self.kept[mask]
