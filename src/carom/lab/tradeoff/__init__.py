@@ -345,8 +345,8 @@ def tune_command(
         typer.Option(
             "--vary",
             metavar="KEY=A,B,C",
-            help="Measure only these values and their combinations, in the form of `carom tradeoff`. Default: search for "
-            "the cheapest setting, the step and one key after the other.",
+            help="Measure only these values and their combinations, in the form of `carom tradeoff`. Default: search "
+            "for the cheapest setting, the step and one key after the other.",
         ),
     ] = None,
     repeats: RepeatsOption = None,
