@@ -37,9 +37,9 @@ from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
 from carom.scene.schema import Coefficients
 
-# Largest overlap, relative to the sum of radii, that is not corrected further. The first value is for contacts whose
-# impulses converge to rounding, the second for contacts whose iterations end with small changes. The next step corrects
-# the remaining overlap.
+# Largest overlap, relative to the sum of radii, that is not corrected further. The first value applies to contacts
+# whose impulses converge to rounding, the second for contacts whose iterations end with small changes. The next step
+# corrects the remaining overlap.
 ENOUGH = 1e-9
 ENOUGH_AS_NEEDED = 1e-5
 

@@ -258,7 +258,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         if pull > push or push > GROWN * largest > 0.0:
             break
     settings.ignores_meshed = False
-    if push > GROWN * largest > 0.0:  # there is no solution: start again, without the change
+    if push > GROWN * largest > 0.0:  # the step has no solution: start again, without the change
         settings.iteration = 0
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     _share_colours(board, phases, PROJECT)

@@ -71,8 +71,8 @@ LOADED = 1e-5  # weight of the velocity change by the warm-start impulse in the 
 
 # A change of a contact's velocities that needs no further iteration. The impulses keep even a smaller change, and the
 # next kick starts from them, so a pile at rest converges from step to step.
-SMALL_OF_REST = 1e-4  # as a fraction of the rest speed
-SMALL_OF_RADIUS = 3e-6  # as a fraction of the smaller radius per step
+SMALL_OF_REST = 1e-4  # tolerance as a fraction of the rest speed
+SMALL_OF_RADIUS = 3e-6  # tolerance as a fraction of the smaller radius per step
 
 
 @long_kernel
