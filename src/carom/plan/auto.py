@@ -42,7 +42,7 @@ SMOOTHING = 0.2  # weight of the new step in the moving average, if contacts for
 
 # largest motion of a body in a step, divided by its radius (docs/trade.md)
 LATE_CFL = 0.5  # if impacts are resolved at the end of the step
-FREE_CFL = 1.0  # with exact times of impact and without forces, where shorter steps gain nothing
+FREE_CFL = 1.0  # if times of impact are exact and no forces act, where shorter steps gain nothing
 
 
 ORBITS_UP_TO = 1000  # most bodies that orbit far apart without contacts; for 300 to 900 bodies, gauss-radau15 takes 0.6

@@ -39,8 +39,9 @@ BOUNDARY: KeyPath = ("domain", "boundary")
 # Errors of the positions in a cluster of 6000 points (docs/trade.md): the error at an opening angle of 1 rad, relative
 # to the size of the system, and the power of the angle with which it grows.
 TREE_ERRORS = {
-    "tree": (6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3 rad, 1.2 × 10⁻⁴ at 0.7
-    "fast-multipole": (5e-4, 7),  # at most 1.8 × 10⁻⁸ at 0.3 rad, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
+    "tree": (6e-4, 4),  # the tree with quadrupoles errs by 5 × 10⁻⁶ at 0.3 rad, and by 1.2 × 10⁻⁴ at 0.7
+    # the fast multipole method errs by at most 1.8 × 10⁻⁸ at 0.3 rad, 1.2 × 10⁻⁶ at 0.5, and 1.7 × 10⁻⁵ at 0.7
+    "fast-multipole": (5e-4, 7),
 }
 MONOPOLES = 19.0  # largest factor by which the error is larger without quadrupoles
 SMALLEST_ANGLE = 0.1  # rad, angle below which a direct sum is as fast

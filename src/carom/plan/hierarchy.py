@@ -166,7 +166,7 @@ def far_apart(scene: Scene) -> bool:
     reach = 2.0 * LEAST_DISTANCE * radius.max() * WIDER
     for k in range(1, len(radius)):
         apart = position[k:] - position[:-k]
-        if apart[:, 0].min() > reach:  # then no pairs farther apart in this order are within reach either
+        if apart[:, 0].min() > reach:  # no pair farther apart in this order is within reach either
             return True
         if np.any(np.sqrt((apart**2).sum(axis=1)) < LEAST_DISTANCE * (radius[k:] + radius[:-k])):
             return False
