@@ -22,7 +22,7 @@ from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.state.frame import Frame
 
-FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for measuring steps that one call makes in bulk
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # time for measuring steps that one call makes in bulk
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # bytes of a body in a frame
 # lengths of coarse steps, in steps of the scene; the second is used if the first would take too long
