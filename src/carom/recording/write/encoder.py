@@ -69,7 +69,7 @@ class BatchEncoder:
         self,
         header: Header,
         origin: FloatArray,  # (3,) m, origin of the drawing
-        # for a resumed run: the state after the earlier rows
+        # state after the earlier rows, for a resumed run
         arrow_references: Mapping[str, float] | None = None,
         last_state: Mapping[str, str] | None = None,
         before: Checkpoint | None = None,

@@ -108,9 +108,9 @@ class BatchQueue(Generic[_Item]):
 class CheckpointPlan:
     """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
 
-    The first frame always carries a checkpoint. So does the frame before a warning, until such checkpoints have used
-    another tenth. The choice depends on the frames but not on the batches, so that the same run always has the same
-    checkpoints.
+    The first frame always carries a checkpoint. The frame before a warning carries a checkpoint, too, until such
+    checkpoints have used another tenth. The choice depends on the frames but not on the batches, so that the same run
+    always has the same checkpoints.
     """
 
     _SHARE = 0.1
