@@ -63,4 +63,4 @@ class Broken:
     what: str  # predicate of a sentence about the ends
 
 
-BrokenThen = tuple[int, float, Broken]  # with its step and its time in s
+BrokenThen = tuple[int, float, Broken]  # broken law with its step and its time in s

@@ -111,7 +111,7 @@ class Rebounds:
         groups: dict[int, list[IsolatedImpact]] = {}
         for impact in self.impacts:
             groups.setdefault(max(impact.ends[1] - len(self._setup), -1), []).append(impact)  # each plane, or bodies
-        compared: list[tuple[IsolatedImpact, list[float]]] = []  # with the usual coefficients
+        compared: list[tuple[IsolatedImpact, list[float]]] = []  # impacts with the usual coefficients
         for group in groups.values():
             group.sort(key=lambda impact: impact.speed)
             e = np.array([impact.restitution for impact in group])
