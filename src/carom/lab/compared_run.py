@@ -46,7 +46,7 @@ class Setting:
     """A few keys of the scene with changed values."""
 
     name: str  # a name such as "integrator = euler, steps 2 times as long"
-    overrides: tuple[str, ...]  # as given to ``--set``
+    overrides: tuple[str, ...]  # values of keys, in the form of ``--set``
     threads: int | None = None  # number of threads; None for the number of threads of the study
     engine: str = ""  # name of another engine whose own keys `overrides` has; empty for carom
 
@@ -126,7 +126,7 @@ class Trajectory:
     impacts: int  # number of contacts that closed faster than the rest speed, summed over the steps
     steps: int
     frames: int  # frames in a recording of the run; 0 for a reference, which is not recorded
-    # for exact references only: (k, 2) both ends of every impact, and its (k,) time in s
+    # (k, 2) both ends of every impact, and (k,) its time in s; only exact references have them
     struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
     struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
 

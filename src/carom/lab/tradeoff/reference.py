@@ -215,7 +215,7 @@ class Reference:
     fineness: float  # ratio of the scene's step to the reference's step; infinite if the reference is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
     whole: bool  # whether the horizon is the end of the scene
-    # for each kind of error, the larger error of the checks, measured as for settings; at least rounding
+    # for each kind of error, the larger error of the two checks, measured like errors of settings; at least rounding
     uncertainty: Errors
     text: str  # description of the reference
     pile: Pile | None = None  # pile whose settled state is also compared

@@ -258,8 +258,8 @@ def _longer(step: float) -> str:
 def scales_steps(scene: Scene) -> bool:
     """Return whether a factor on the limits of the step scales every step.
 
-    It does not if the integrator chooses its steps by its own error, or if bodies held by contacts have an automatic
-    limit of their own, since no key sets that limit.
+    The factor does not scale every step if the integrator chooses its steps by its own error, or if bodies held by
+    contacts have an automatic limit of their own, since no key sets that limit.
     """
     if scene.time.fixed_dt is not None:
         return True
@@ -285,7 +285,7 @@ class SettingResult:
     errors: Errors | None = None
     spent: float = 0.0  # s of CPU time at which the run was stopped
     followed: float = 0.0  # s, time of the run that measured the errors; 0 if unknown
-    digest: str = ""  # digest of its trajectory
+    digest: str = ""  # digest of the setting's trajectory
     same_as: str = ""  # name of an earlier setting whose run has the same bits, and therefore the same costs
 
     @property

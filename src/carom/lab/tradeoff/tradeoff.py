@@ -248,7 +248,7 @@ class Study:
             tell("as written: the time of a run")
             if written.status != "measured":
                 self._follow(written, lambda text: tell(f"as written{text}"))
-            if written.status != "measured":  # for example, a run that was stopped at its limit
+            if written.status != "measured":  # for example, if the run was stopped at its limit
                 return written.spent
             written.costs.append(self.runs.cost(written))
         return written.cost

@@ -29,7 +29,7 @@ class Cause:
     A stop is an impact whose contact closed no faster than the rest speed (docs/physics.md, 9).
     """
 
-    partner: int  # the end that touches this body; numbers from n on are planes and walls
+    partner: int  # other end of the contact with this body; numbers from n on are planes and walls
     holds: bool  # whether the cause is a contact at rest
     first: float  # s, time of the first step
     last: float  # s, time of the last step; equal to `first` for an impact
