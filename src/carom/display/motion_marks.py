@@ -79,7 +79,7 @@ def _of_planes(header: Header, origin: FloatArray, view: View, area: Area, time:
     right, _ = view.axes()
     for k, (normal, offset) in enumerate(zip(header.planes.normal, header.planes.offset, strict=True)):
         motion = header.motions.get(f"{MOVING}/plane-{k}")
-        if motion is None or not motion.translates:  # for instance a piston, which bodies move
+        if motion is None or not motion.translates:  # a piston, for instance, is moved by bodies
             continue
         shift = motion.displacement(time, normal)
         aside = -right + (right @ normal) * normal

@@ -171,7 +171,7 @@ def presentation(
     recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
     chosen = pair or _pair(recording, header, step)
     places = [recording.shown.index(body) for body in chosen.bodies] if chosen else []
-    if change_with_time(header, by) and not recoloured:  # then only the close-up needs the colours
+    if change_with_time(header, by) and not recoloured:  # in this branch, only the close-up view needs the colours
         fixed, own = None, recorded_colours(recording, header, places).on(canvas.theme)
     else:
         colours = body_colours(recording, header, by, step).on(canvas.theme)

@@ -37,7 +37,8 @@ class Request:
 
     at: float | None = None  # s
     event: str | None = None  # name of an event, whose bodies the close-up view shows
-    bodies: str | None = None  # for the close-up view: two numbers or names with a comma, or one for a body on a plane
+    # bodies of the close-up view: two numbers or names with a comma, or one for a body on a plane
+    bodies: str | None = None
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
     edges: str = "impulse"  # quantity that the edges beside the bodies show: "impulse", or the "stage" of the solver
@@ -80,7 +81,7 @@ class ShownStep:
     frame: Frame | None = None  # the step, if it was repeated
     before: Frame | None = None  # the frame before the frames in `added`
     added: Sequence[Frame] = ()  # repeated steps: the shown step, the steps between recorded frames, and the next frame
-    state: Instant | None = None  # for an instant within the step: energies and spins before and after
+    state: Instant | None = None  # energies and spins before and after an instant within the step
     velocities: FloatArray | None = None  # (2, b, 3) m/s, velocities of an instant's bodies before and after it
     missing: str = ""  # why the step could not be repeated, if the step has no frame
 
