@@ -78,7 +78,7 @@ class KickDriftStepper:
 
     def warm_up(self, dt: float) -> None:
         """Take a few steps of dt seconds without booking them; they also compute the initial accelerations."""
-        # otherwise a single step, which loads the kernels
+        # otherwise make a single step, which loads the kernels
         for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):
             self._step(dt, with_potential=False)
         if self._flight:

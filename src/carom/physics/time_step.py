@@ -15,7 +15,7 @@ the uniform field, so a scene that moves or falls as a whole takes the same step
 speeds are relative to these, and accelerations include the field. The reference engine (docs/validation.md) ignores the
 acceleration, uses absolute speeds, and uses the radius of the *fastest* body only, so a small body that is slightly
 slower tunnels. This limit is available as "fastest-body". The reference engine also smooths decreases, which
-violates the bound of a limit. Here a decrease takes effect at once.
+violates the bound of a limit. In carom a decrease takes effect at once.
 """
 
 from __future__ import annotations

@@ -340,7 +340,7 @@ def judge_impacts(
             normal = entry.nx, entry.ny, entry.nz
             if may_stop or not v > PER_STEP * dt * pressing(i, j, normal, acceleration, loads):
                 continue
-        if not e >= 1.0 and len(impacts) == 0:  # also true if e is unknown
+        if not e >= 1.0 and len(impacts) == 0:  # true if e is unknown, too
             impacts = _count_impacts(log, bodies)
         most = 0 if e >= 1.0 else max(impacts[i], impacts[j] if j < bodies else 0)
         if is_impact and most < MAX_IN_COLLAPSE:

@@ -37,16 +37,17 @@ MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
 KERNEL_STEP, KERNEL_BODY = 3e-7, 1e-8
 TABLE_FORCES = 1.5e-5  # Python's part in a sum of forces for more bodies than `MAX_IN_ONE_BLOCK`
-CONTACT_BODY = 5e-7  # for the search and the next impacts of a body
-HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # for held contacts; the last value for each contact and iteration
+CONTACT_BODY = 5e-7  # cost of the search and the next impacts of a body
+# costs of held contacts; the last value is the cost of each contact and iteration
+HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8
 IMPACT = 1.4e-6
-# for each end of a pair in a direct sum; the second value is for few bodies, whose step examines each pair
+# costs of each end of a pair in a direct sum; the second value applies to few bodies, whose step examines each pair
 PAIR, FEW_PAIR = 7e-10, 4e-9
-# for a body in a tree with this opening angle; the number of boxes grows like 1/angle³
+# cost of a body in a tree with this opening angle; the number of boxes grows like 1/angle³
 TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5
-RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 2.5e-7, 9e-9  # for an iteration of Gauss–Radau integration
+RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 2.5e-7, 9e-9  # cost of an iteration of Gauss–Radau integration
 ITERATIONS = 2.5  # iterations per step
-ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # for a step of Wisdom–Holman integration
+ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # cost of a step of Wisdom–Holman integration
 AT_ONCE = 0.05  # nominal s that a kernel takes between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
 NEVER = 2**62  # number of steps between two checks of the energy of a trial run

@@ -98,7 +98,8 @@ def sum_few(
 ) -> None:
     """Write acceleration, (n, 3) m/s², and potential, (n,) J/kg, of at most `MAX_IN_ONE_BLOCK` bodies.
 
-    As in lanes, a body's terms are added in the order of their sources, and reactions in the order of the rows.
+    Like the code for lanes, this code adds a body's terms in the order of their sources, and adds reactions in the
+    order of the rows.
     """
     n = len(m)
     own = attraction(1.0, eps2)

@@ -203,7 +203,7 @@ def _decide(
     """Decide on the boxes left to box a, from begin to end.
 
     Return the numbers of boxes that attract as a whole and body by body, and the end of the range that the halves of
-    box a inspect. That range begins at ``end``; its end is -1 if there is no space for it.
+    box a inspect. The range that the halves inspect begins at ``end``; its own end is -1 if there is no space for it.
     """
     opened, far, near, left = own.opened, own.far, own.near, own.left
     A = boxes[a]
