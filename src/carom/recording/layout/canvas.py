@@ -283,7 +283,7 @@ class Lens:
     """A camera that the eye of a view tracks, for its narrow field of view."""
 
     path: str
-    view: View  # its slope is the slope of the lens
+    view: View  # view with the slope of the lens
     larger: float  # scale of the space in which the view shows the scene
 
     def pinhole(self) -> rr.Pinhole:

@@ -81,7 +81,7 @@ _FLAGS = {
     "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
-    "record.impacts": "records_contacts",  # not a part of the model, but series of contacts depend on it
+    "record.impacts": "records_contacts",  # no part of the model; series of contacts depend on it
     "wall.motion": "drives",  # not a part of the model, but the series of the work of moving walls depends on it
     "piston": "has_piston",  # not a part of the model, but the series of the piston's motion depend on it
     "release": "admits",  # not a part of the model, but the series of the energy of entering bodies depends on it
