@@ -2,8 +2,9 @@
 
 A contact of spheres changes a spin by r n × J / I. Engines differ in the normal and in the arm that they use, and a
 resistance to rolling adds a torque. At the end of a run, the normal and the arm that explain most torques of the engine
-are known, and how well they do. A contact whose torque is far from this explanation breaks the law. All contacts of an
-engine break the law if together they show another moment of inertia, or show spins that are in the bodies' frames.
+are known, and also how well they explain the torques. A contact whose torque is far from this explanation breaks the
+law. All contacts of an engine break the law if together they show another moment of inertia, or show spins that are in
+the bodies' frames.
 """
 
 from __future__ import annotations

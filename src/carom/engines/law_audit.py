@@ -91,7 +91,7 @@ class LawAudit:
         self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
         self.worst: dict[str, float] = {}  # largest ratio of violation to tolerance for each law
-        self.broken: list[tuple[float, str]] = []  # time (s) and violated law of each such frame
+        self.broken: list[tuple[float, str]] = []  # time (s) and violated law of each frame that violated a law
 
     def see(
         self,

@@ -37,14 +37,14 @@ class IsolatedImpact:
     ends: tuple[int, int]
     speed: float  # m/s, closing
     restitution: float
-    uncertainty: float  # of the coefficient
+    uncertainty: float  # uncertainty of the coefficient
 
     def differs(self, usual: float) -> float:
         """Return the difference of the coefficient from another one, beyond its uncertainty."""
         return abs(self.restitution - usual) - self.uncertainty
 
     def unlike(self, usual: float, allowed: float, source: str) -> Broken:
-        """Return the broken law: another coefficient of restitution is expected."""
+        """Return the broken law, which expects another coefficient of restitution."""
         what = f"rebound with a coefficient of restitution of {self.restitution:.3g}; {source} {usual:.3g}"
         return Broken(RESTITUTION, self.differs(usual) / allowed, self.ends, what)
 

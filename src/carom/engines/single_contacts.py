@@ -99,7 +99,7 @@ class ContactLaws:
 def trees_of(setup: Setup, near: Near, closing: FloatArray, dt: float) -> Iterator[IntArray]:
     """Yield the rows of each set of near pairs that may have touched in a frame of dt s and have known impulses.
 
-    Such a set is a tree of at most `MOST` contacts with at most one fixed end. ``closing`` are earlier closing speeds,
+    Each set is a tree of at most `MOST` contacts with at most one fixed end. ``closing`` are earlier closing speeds,
     (k,) m/s.
     """
     fall, after = setup.field_strength * dt, near.closing_now
