@@ -56,31 +56,34 @@ BEFORE, VELOCITY = f"{ROOT}/velocity_before", f"{ROOT}/velocity"
 FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
 
 _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
-_MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
+_MOST_BYTES = 200_000_000  # most bytes of positions that are read to follow the bodies
 _ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
 _NORMAL = 0.9  # length of the normal, in radii of the smaller body
 _SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
 _VELOCITY = 1.3  # length of the longest velocity's arrow, in radii of the smaller body
 _OFF = (1.2, 1.55)  # distances of the velocities before and after an impact from the centre, in radii of their body
-_STEEP = 0.7  # of the normal on the screen, up or down: velocities then are to the right or left, otherwise above
+# vertical part of the normal on the screen; velocities stand beside steeper normals, and above flatter normals
+_STEEP = 0.7
 _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_ROUNDING = 1e-9  # of the faster spin; a spin below is rounding
-_TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
-_EARLIER = {"dark": palette.GREY, "light": 0xB4BAC2FF}  # velocities before an impact; those after it have ink
-_CHAINED = 0.01  # of an approach speed; where speeds before differ more, bodies have several impacts at an instant
+_ROUNDING = 1e-9  # fraction of the faster spin; a spin below this fraction is rounding
+_TOUCHING = 1e-9  # fraction of a radius; a smaller gap is rounding
+# colour of velocities before an impact; velocities after it have the colour of ink
+_EARLIER = {"dark": palette.GREY, "light": 0xB4BAC2FF}
+# fraction of the approach speed; if speeds before an impact differ more, bodies have several impacts at an instant
+_CHAINED = 0.01
 _ALIKE = 0.08  # two shades have one hue if their shares of red, green and blue differ by at most this
 _UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
 
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """The contact of the two bodies in the step that is shown."""
+    """The contact of the two bodies in the shown step."""
 
     point: FloatArray  # (3,) m from the recording's origin
-    normal: FloatArray  # (3,) from i to j, or out of a plane or wall, like the impulse on the body
+    normal: FloatArray  # (3,) unit vector from i to j, or out of a plane or wall, like the impulse on the body
     approach_speed: float  # m/s
     impulse: FloatArray  # (3,) N s, on j
     force: float | None  # N, the impulse over the step; None for an impact
@@ -102,7 +105,7 @@ class _Arrows:
     labels: list[str]
     along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
     bodies: Sequence[int] = ()  # places of the bodies that the labels belong to, in the close-up
-    short: Sequence[str] = ()  # labels where the legend has the others
+    short: Sequence[str] = ()  # labels in a view whose legend has the other labels
     way: FloatArray | None = None  # (3,) in which the short labels are off the arrows; by default on beyond their tips
 
 
@@ -111,29 +114,30 @@ class CloseUp:
     """Two bodies at one step."""
 
     header: Header
-    names: str  # of the bodies, or of the body and the plane
+    names: str  # numbers of the bodies, or of the body and the plane
     called: Sequence[str]  # (b,) names of the bodies, or their numbers
-    bodies: tuple[int, ...]  # a single one if it touches a plane
+    bodies: tuple[int, ...]  # numbers of the bodies; a single number if the body touches a plane
     step: ShownStep
-    instant: ShownStep | None  # the time of an impact within the step, at which normal, impulse and spins are drawn
+    instant: ShownStep | None  # time of an impact within the step, at which normal, impulse and spins are drawn
     position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
-    contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
+    contact: Contact | None  # None if the bodies do not touch in this step, or if the contacts of the step are unknown
     spin: FloatArray | None  # (b, 3) rad/s; at an instant, after the impact
     spin_before: FloatArray | None  # (b, 3) rad/s, before the impact of an instant
     velocity: FloatArray | None  # (1, b, 3) m/s or, before and after the impact of an instant, (2, b, 3)
-    middle: FloatArray  # (3,) m, of the bodies as they are drawn
+    middle: FloatArray  # (3,) m, centre of the bodies as they are drawn
     paths: DrawnPaths | None
-    times: FloatArray  # (frames,) s, of the paths
-    origin: FloatArray  # (3,) m, of the recording
+    times: FloatArray  # (frames,) s, times of the paths
+    origin: FloatArray  # (3,) m, origin of the recording
     cell: Callable[[float], FloatArray | None]  # see `Header.cell`; the second body is drawn at its nearest image
     eye: View
-    colours: BodyColours  # of the bodies, as in the other views
+    colours: BodyColours  # colours of the bodies, which are the same in the other views
     area: Area
-    legend: Legend  # empty, unless the view is alone in a picture
-    is_brief: bool  # whether the numbers are in a legend beside the view, so that its labels are short
-    corner: tuple[int, int]  # of the legend
-    aside: FloatArray  # (3,) unit vector across the normal on the screen, in which velocities are off their bodies
-    poses: Sequence[View]  # of the camera, at the times of the clock of a movie
+    legend: Legend  # legend of the view; empty, unless the view is alone in a picture
+    is_brief: bool  # whether the numbers are in a legend beside the view, so that labels in the view are short
+    corner: tuple[int, int]  # corner of the legend
+    # (3,) unit vector across the normal on the screen, along which velocities are drawn off their bodies
+    aside: FloatArray
+    poses: Sequence[View]  # poses of the camera at the times of a movie's clock
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
@@ -254,7 +258,7 @@ class CloseUp:
             if arrows.path and len(arrows.vectors):
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
-        if self.legend.entries:  # it has the numbers
+        if self.legend.entries:  # the legend has the numbers
             return
         if self.is_brief:
             labelled = [replace(arrows, labels=list(arrows.short)) for arrows in labelled]
@@ -288,7 +292,7 @@ class CloseUp:
         ]
 
     def _velocities(self, small: float) -> Iterable[_Arrows]:
-        """Yield the velocities before an impact, and then those after it or, without an impact, of the step.
+        """Yield the velocities before an impact, and then the velocities after it or, without an impact, of the step.
 
         They stand beside their bodies, where no impulse is; a body that is too large to be shown whole has none.
         """
@@ -385,7 +389,8 @@ class CloseUp:
         if not drawn.any():
             return _Arrows(IMPULSE, self.position[drawn], vectors, [])
         text = header.units.text(size, dimension.IMPULSE, ".3g")
-        together = ", friction included" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
+        # tables list the normal impulse
+        together = ", friction included" if contact.friction > _ROUNDING * size else ""
         if contact.force is None:
             return _Arrows(IMPULSE, self.position[drawn], vectors, [text + together], short=[text])
         force = header.units.text(contact.force, dimension.FORCE, ".3g")
@@ -429,8 +434,9 @@ class CloseUp:
         if contact.force is not None or self.spin is None or size <= _ROUNDING * whole:
             return _Arrows("", np.zeros((0, 3)), np.zeros((0, 3)), [])
         of_all = None if self.instant is None or self.instant.frame is None else self.instant.frame.angular_impulse
-        values = size * header.radius[list(self.bodies)]  # |r × J| about the centre of each
-        if of_all is not None:  # a body may have several impacts at one instant, and the spins are after all of them
+        values = size * header.radius[list(self.bodies)]  # |r × J| about the centre of each body
+        # a body may have several impacts at one instant, and the spins are the spins after all these impacts
+        if of_all is not None:
             values = drawing.magnitudes(of_all[list(self.bodies)])
         texts = [
             f"angular impulse {header.units.text(value, dimension.ANGULAR_IMPULSE, '.3g')}" for value in values.tolist()
@@ -532,7 +538,8 @@ def close_up(
     aside = _beside(_fit(header.radius[places], seen, contact).view(area.aspect), contact, spin)
     if velocity is not None:
         longest = float(np.linalg.norm(velocity, axis=2).max()) or 1.0
-        whole = _impulse_radii(header.radius[places]) > 0.0  # the others have no arrows of velocities
+        # bodies that are not shown whole have no arrows of velocities
+        whole = _impulse_radii(header.radius[places]) > 0.0
         half = 0.5 * _VELOCITY * header.radius[places].min() * velocity[-1][whole] / longest
         off = seen[whole] + (_OFF[1] + _THICK) * header.radius[places][whole, None] * aside
         ends = np.concatenate([np.zeros((0, 3)) if ends is None else ends, off - half, off + half])
@@ -601,7 +608,7 @@ def _way(arrows: _Arrows) -> FloatArray:
 def _told_apart(colours: BodyColours, theme: str) -> BodyColours:
     """Return colours by which two bodies can be told apart: their own, unless these are shades of one hue.
 
-    Colours that change with time, such as colours by speed, have a meaning, so they stay.
+    Colours that change with time, such as colours by speed, have a meaning, so this function leaves them unchanged.
     """
     fixed = colours.fixed
     if fixed is None or len(fixed) < 2 or not _alike(int(fixed[0]), int(fixed[1])):
@@ -621,7 +628,7 @@ def _alike(one: int, another: int) -> bool:
 def _followed(position: FloatArray, half: float) -> FloatArray:
     """Return the point (3,) m that a camera follows, so that bodies at (b, 3) m are within ``half`` (m) of it.
 
-    Of two bodies that are too far apart, it is near the first.
+    If two bodies are too far apart, the point is near the first body.
     """
     apart = position.mean(axis=0) - position[0]
     far = float(np.linalg.norm(apart))
@@ -634,13 +641,13 @@ def _impulse_radii(radius: FloatArray) -> FloatArray:
 
 
 def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
-    """Fit the camera to both bodies; if one is many times larger, to the smaller."""
+    """Fit the camera to both bodies; if one body is many times larger, to the smaller body."""
     normal = None if contact is None else contact.normal
     if len(radius) == 2 and normal is None:
         apart = position[1] - position[0]
         normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
     to_eye = None
-    if normal is not None:  # nearly perpendicular to it
+    if normal is not None:  # the eye looks nearly perpendicularly to the normal
         usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
         direction = usual - _ASIDE * (usual @ normal) * normal
         size = float(np.linalg.norm(direction))

@@ -37,17 +37,18 @@ from carom.state.frame import Frame
 
 BODIES, GRAPH = "bodies", "graph"  # views
 _SPACE = (BODIES, GRAPH)
-MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows remain visible
-_LEAST_NAMED = 2  # lines about bodies that a legend has in any case
+MOST_NAMED = 6  # most bodies with an entry each, so that the scales of arrows remain visible
+_LEAST_NAMED = 2  # fewest lines about bodies that a legend has
 
 _KEPT = "\u00a0"  # a space at which no line is broken
-_ROW = 25.0  # points, from one line to the next
-_MARGIN = 5.0  # points, around the lines
-_WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3  # points, and a share: width of a legend inside a picture
+_ROW = 25.0  # points, distance from one line to the next
+_MARGIN = 5.0  # points, margin around the lines
+# width of a legend inside a picture, in points and as a share of the picture
+_WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3
 CLOCK = f"{LEGEND}/clock"
-_LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # radii, of the arrows whose magnitudes show the scale
+_LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # lengths, in radii, of the arrows whose magnitudes show the scale
 _EDGES = {2: "small", 4: "medium", 6: "large"}  # levels of edges whose impulses show the scale
-_WIDTHS = {2: "thin", 4: "medium", 6: "wide"}  # the same edges on white paper, where they have one colour
+_WIDTHS = {2: "thin", 4: "medium", 6: "wide"}  # levels of these edges on white paper, where all edges have one colour
 _PARALLEL = {paths.ANGULAR_ACCELERATION: "angular acceleration", paths.SPIN_CHANGE: "change of spin"}
 _NAMES = {
     paths.TORQUE: "torque",
@@ -64,7 +65,7 @@ class LegendLine:
     text: str
     colour: int  # 0xRRGGBBAA
     views: Sequence[str] = ()  # views whose legend has this line in a picture of a single view
-    bodies: int = 0  # that it names, in a list that may be folded
+    bodies: int = 0  # bodies that the line names, in a list that may be folded
     is_clock: bool = False  # whether its text changes with time
     is_extra: bool = False  # whether it is left out where there is no room for all lines
 
@@ -76,24 +77,24 @@ class LegendLine:
 
 @dataclass(frozen=True, slots=True)
 class LegendContents:
-    """What is drawn, and therefore explained, in a picture or during the run."""
+    """The things that are drawn, and therefore explained, in a picture or during the run."""
 
     contacts: bool = False
-    impulses: bool = False  # arrows, and widths of edges
+    impulses: bool = False  # whether arrows and widths of edges show impulses
     friction: bool = False
     impacts: bool = False
-    torques: bool = False  # of contacts that last
+    torques: bool = False  # torques of contacts that last
     turns: bool = False  # angular impulses of impacts
     trails: bool = False
 
     def __or__(self, other: LegendContents) -> LegendContents:
-        """Return the contents of either."""
+        """Return all that either of two contents draws."""
         return LegendContents(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
 class MovieClock:
-    """What the line of the clock in the legend of a movie says, from some times on."""
+    """The texts of the clock in the legend of a movie, each with the time from which it holds."""
 
     times: FloatArray  # (k,) s
     texts: Sequence[str]  # (k,)
@@ -118,7 +119,7 @@ class Legend:
         return replace(self, entries=[*head, *self.entries], clock=clock if isinstance(clock, MovieClock) else None)
 
     def grouped(self, graph: str, more: Mapping[str, Sequence[LegendLine]]) -> Legend:
-        """Return the lines about all views, then those about the graph only, and more lines, below a heading each.
+        """Return the lines about all views, then the lines about the graph only, and more lines, below a heading each.
 
         Headings, and lines of the groups that may be left out, are the first to go where there is no room.
         """
@@ -388,7 +389,7 @@ def _edges(
     header: Header, frame: Frame | None, drawn: LegendContents, theme: str, by_stage: bool
 ) -> Iterator[LegendLine]:
     """Explain lines between touching bodies, points at impacts, and arrows of impulses."""
-    by_impulse = theme == "dark" and drawn.impulses and not by_stage  # beside the bodies
+    by_impulse = theme == "dark" and drawn.impulses and not by_stage  # edges beside the bodies
     beside = () if is_crowded(header) else (BODIES,)  # solid spheres hide lines
     if drawn.contacts and not by_impulse:
         if theme == "dark" and not header.engine:
@@ -458,7 +459,7 @@ def _arrows(
         scale = f": {_scale(header, path, references[path])}" if path in references else ""
         drawn = None if frame is None else {paths.TORQUE: frame.torque, paths.ANGULAR_IMPULSE: frame.angular_impulse}
         vectors = None if drawn is None else drawn.get(path)
-        if scale and vectors is not None:  # the scale is that of the first frame with arrows
+        if scale and vectors is not None:  # the scale comes from the first frame with arrows
             largest = float(drawing.magnitudes(vectors[np.isfinite(vectors).all(axis=1)]).max(initial=0.0))
             if largest > magnitude_at(max(_LENGTHS.values()), REACH[path], references[path]):
                 scale += f"; here up to {_round(header, largest, DIMENSIONS[path])}"
@@ -469,15 +470,15 @@ def _arrows(
             yield LegendLine(f"    the {_PARALLEL[other]} is parallel", colour, (GRAPH,))
 
 
-# What is drawn, at a moment or during the whole run: the legend names nothing else.
+# The things that are drawn at a moment or during the whole run; the legend names nothing else.
 
 _AROUND = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
 _AROUND /= np.linalg.norm(_AROUND, axis=1)[:, None]
-_ROUNDING = 1e-9  # of the largest normal impulse; smaller friction is rounding, and not drawn
+_ROUNDING = 1e-9  # fraction of the largest normal impulse; smaller friction is rounding, and is not drawn
 
 
 def drawn_during(recording: Recording, header: Header) -> LegendContents:
-    """Return what is drawn at some time of a run; ``header`` is the header of the layout."""
+    """Return the things that are drawn at some time of a run, given the ``header`` of the layout."""
     records = header.records_contacts
     impacts = records and any(entry.rows for entry in recording.store.frames_of(paths.IMPACTS))
     rubs = records and header.has_friction and _has_arrows(recording, paths.FORCE_FRICTION)
@@ -497,7 +498,7 @@ def _has_arrows(recording: Recording, path: str) -> bool:
 
 
 def drawn_at(frame: Frame, header: Header) -> LegendContents:
-    """Return what is drawn at the end of a step, or at an instant, except points of impacts."""
+    """Return the things that are drawn at the end of a step, or at an instant, except points of impacts."""
     rows = frame.contact_rows if header.records_contacts else None
     largest = 0.0 if rows is None or not len(rows) else float(rows["normal_impulse"].max())
     rubs = False
