@@ -17,7 +17,7 @@ from carom.walls.mesh.facet_fields import FIELDS, fields_of
 from carom.walls.mesh.mesh_file import enclosed, read, unpacked
 
 SMALLEST, LARGEST = 1.0, 2000.0  # width of a mesh, in radii of the bodies, beyond which its unit is doubtful
-LARGEST_COSINE = 1e-9  # of the angle between the axes; rounding to ten digits causes less
+LARGEST_COSINE = 1e-9  # largest cosine of the angle between the axes; rounding to ten digits causes less
 
 
 class MeshWall(Section):

@@ -1,14 +1,14 @@
-"""A triangle of a mesh: the point of it nearest to a body, and whether a neighbour has a nearer one.
+"""A triangle of a mesh: its point nearest to a body, and whether a neighbour has a nearer point.
 
 A body touches the mesh where the distance has a local minimum: inside of a triangle, on an edge, or at a corner. Space
-near a mesh is divided among these (Voronoi regions): a point belongs to a triangle if it is above or below it, to an
-edge if it is beyond the edge for both triangles there, and to a corner if it is beyond the corner for all edges there.
-An edge or a corner that several triangles share belongs to the first of them. No other triangle touches a body there,
-so a body that rolls over an edge of flat neighbours, or hits one, meets one plane.
+near a mesh is divided among triangles, edges and corners (Voronoi regions): a point belongs to a triangle if it lies
+above or below the triangle, to an edge if it lies beyond the edge for both triangles of the edge, and to a corner if it
+lies beyond the corner for all edges of the corner. An edge or a corner that several triangles share belongs to the
+first of these triangles. No other triangle touches a body there, so a body that rolls over an edge of flat neighbours,
+or hits one, meets one plane.
 
-Where neighbours are flat, a triangle continues beyond their common edge as a plane, and so it does beyond a corner
-where all edges are flat: a body that rolls on it in a step may leave it, and the neighbour takes over as the next step
-begins.
+Where neighbours are flat, a triangle continues as a plane beyond their common edge, and beyond a corner where all edges
+are flat: a body that rolls on it in a step may leave it, and the neighbour takes over as the next step begins.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from carom.extend import kernel
 from carom.walls.mesh.facet_fields import FLAT_OTHER, FLAT_OWN, FREE, OWN
 
-SLACK = 1e-10  # of the distance from a corner, by which regions overlap; times of impact err by less
+SLACK = 1e-10  # fraction of the distance from a corner by which regions overlap; times of impact err by less
 
 
 @kernel
@@ -56,7 +56,7 @@ def _on_border(p: Any, x: float, y: float, z: float) -> tuple[int, float, float,
         dx, dy, dz = x - ax, y - ay, z - az
         t = (dx * ex + dy * ey + dz * ez) / (ex * ex + ey * ey + ez * ez)
         t = max(0.0, min(1.0, t))
-        if t == 1.0:  # exactly from the corner
+        if t == 1.0:  # the vector begins exactly at the corner
             dx, dy, dz = x - bx, y - by, z - bz
         else:
             dx, dy, dz = dx - t * ex, dy - t * ey, dz - t * ez
@@ -110,7 +110,8 @@ def touches(surface: Any, facet: int, x: float, y: float, z: float) -> bool:
     one, two, three = _insides(p, x, y, z)
     if _is_within(one, p.edge_0, slack) and _is_within(two, p.edge_1, slack) and _is_within(three, p.edge_2, slack):
         return True
-    if one >= 0.0 and two >= 0.0 and three >= 0.0:  # above an edge of a flat neighbour, which touches instead
+    # the point is above an edge of a flat neighbour, which touches in place of this triangle
+    if one >= 0.0 and two >= 0.0 and three >= 0.0:
         return False
     edge, place, fx, fy, fz = _on_border(p, x, y, z)
     if 0.0 < place < 1.0:
@@ -146,5 +147,5 @@ def _is_at_corner(surface: Any, facet: int, k: int, x: float, y: float, z: float
                 return False
         turn, spot = int((p.turn_0, p.turn_1, p.turn_2)[spot]), int((p.spot_0, p.spot_1, p.spot_2)[spot])
         other += turn
-        if other == facet:  # a triangle has a corner once
+        if other == facet:  # a corner occurs only once in a triangle
             return True

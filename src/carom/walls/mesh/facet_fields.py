@@ -1,6 +1,6 @@
 """The fields of the triangles of a mesh: corners, normals, and the kinds of their edges and corners.
 
-This module does without the compiler, which commands that only read a scene do not load.
+This module needs no compiler, because commands that only read a scene do not load the compiler.
 """
 
 from __future__ import annotations
@@ -11,15 +11,22 @@ from carom.arrays import BoolArray, FloatArray, IntArray
 
 CORNERS = tuple(f"corner_{k}{axis}" for k in range(3) for axis in "xyz")
 NORMAL = ("normal_x", "normal_y", "normal_z")
-INWARD = tuple(f"inward_{k}{axis}" for k in range(3) for axis in "xyz")  # in the plane, from edge k into the triangle
-ACROSS = tuple(f"across_{k}{axis}" for k in range(3) for axis in "xyz")  # the same of the neighbour; 0 without one
-EDGES = tuple(f"edge_{k}" for k in range(3))  # edge k, from corner k to the next: `FREE`, `OWN`, `OTHER` or `FLAT`
-TURNS = tuple(f"turn_{k}" for k in range(3))  # to the next triangle with corner k: difference of their numbers
-SPOTS = tuple(f"spot_{k}" for k in range(3))  # which of its corners it is
-TIPS = tuple(f"tip_{k}" for k in range(3))  # corner k: `OWN`, `OTHER`, or `FLAT_OWN` if all edges there are flat
+# unit vector in the plane, from edge k into the triangle
+INWARD = tuple(f"inward_{k}{axis}" for k in range(3) for axis in "xyz")
+# this vector of the neighbour; 0 without a neighbour
+ACROSS = tuple(f"across_{k}{axis}" for k in range(3) for axis in "xyz")
+# kind of edge k, from corner k to the next corner: `FREE`, `OWN`, `OTHER` or `FLAT`
+EDGES = tuple(f"edge_{k}" for k in range(3))
+# number of the next triangle with corner k, minus the number of this triangle
+TURNS = tuple(f"turn_{k}" for k in range(3))
+SPOTS = tuple(f"spot_{k}" for k in range(3))  # which corner of the next triangle this corner is
+# kind of corner k: `OWN`, `OTHER`, or `FLAT_OWN` if all edges there are flat
+TIPS = tuple(f"tip_{k}" for k in range(3))
 FIELDS = (*CORNERS, *NORMAL, *INWARD, *ACROSS, *EDGES, *TURNS, *SPOTS, *TIPS)
-FREE, OWN, OTHER, FLAT_OWN, FLAT_OTHER = 0.0, 1.0, 2.0, 3.0, 4.0  # kinds; flat ones touch nothing
-FLAT = 1e-5  # rad between neighbours; coordinates of seven digits turn a triangle by 1e-6, if it is not small
+# kinds of edges and corners; flat edges and corners touch nothing
+FREE, OWN, OTHER, FLAT_OWN, FLAT_OTHER = 0.0, 1.0, 2.0, 3.0, 4.0
+# rad, angle between neighbours that are flat; coordinates of seven digits turn a triangle by 1e-6, if it is not small
+FLAT = 1e-5
 
 
 def fields_of(corners: FloatArray, triangles: IntArray) -> dict[str, FloatArray]:
@@ -57,7 +64,7 @@ def _length(vectors: FloatArray) -> FloatArray:
 def _neighbours(triangles: IntArray) -> tuple[IntArray, IntArray]:
     """Return the places of pairs of edges with the same ends, (m,) and (m,)."""
     ends = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
-    order = np.lexsort((ends[:, 1], ends[:, 0]))  # stable, so that the first triangle comes first
+    order = np.lexsort((ends[:, 1], ends[:, 0]))  # the sort is stable, so that the first triangle comes first
     same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)
     return order[:-1][same], order[1:][same]
 

@@ -14,15 +14,15 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import SceneError, install_extra
 
 FORMATS = (".stl", ".obj", ".ply")
-LARGEST_FILE = 200_000_000  # bytes
-MOST_TRIANGLES = 200_000  # their text still fits into a scene
-THINNEST = 1e-7  # height of a triangle by its longest side; coordinates in single precision resolve no less
+LARGEST_FILE = 200_000_000  # bytes of a file
+MOST_TRIANGLES = 200_000  # most triangles; their text still fits into a scene
+THINNEST = 1e-7  # height of a triangle, divided by its longest side; coordinates in single precision resolve no less
 _COUNTS = np.dtype("<i8")
 _CORNERS, _TRIANGLES = np.dtype("<f8"), np.dtype("<i4")
 
 
 def read(path: Path, called: str) -> str:
-    """Return the corners and the triangles of a file as text; raises SceneError if it has none that are usable."""
+    """Return the corners and the triangles of a file as text; raises SceneError if the file has no usable triangle."""
     if path.suffix.lower() not in FORMATS:
         raise SceneError(f"{called}: not a mesh in STL, OBJ or PLY; convert it, for example with Blender or MeshLab")
     try:
@@ -50,7 +50,7 @@ def read(path: Path, called: str) -> str:
 
 
 def _problem(corners: FloatArray, triangles: IntArray) -> str:
-    """Say why triangles are no wall; empty if they are one."""
+    """Say why triangles form no wall; empty if they form a wall."""
     if len(triangles) == 0:
         return "no triangles in it; is it a mesh in this format?"
     if len(triangles) > MOST_TRIANGLES:
@@ -108,7 +108,7 @@ def enclosed(corners: FloatArray, triangles: IntArray) -> float | None:
     """Return the volume within a mesh in m³, negative if its normals point inwards; None if it is open."""
     directed = np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2).reshape(-1, 2)
     forth, back = directed[np.lexsort(directed.T)], directed[np.lexsort(directed[:, ::-1].T)][:, ::-1]
-    if not np.array_equal(forth, back):  # each edge once in both directions
+    if not np.array_equal(forth, back):  # a closed mesh has each edge once in both directions
         return None
     a, b, c = (corners[triangles[:, k]] - corners[0] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
