@@ -22,11 +22,16 @@ CONTENT = "content"  # key of a section in which carom keeps the data that a sha
 SIDES = 96  # edges around a drawn surface of revolution
 
 
+NO_LINES: IntArray = np.empty((0, 2), np.int64)
+_MERIDIANS, _PARALLELS = 12, 8  # drawn lines of a curved surface of revolution
+
+
 class Mesh(NamedTuple):
     """The triangles that show a wall."""
 
     corners: FloatArray  # (k, 3) m
     triangles: IntArray  # (t, 3) into `corners`
+    lines: IntArray = NO_LINES  # (l, 2) into `corners`: drawn, so that a curved surface does not look flat
 
 
 class Facets(NamedTuple):
@@ -118,4 +123,10 @@ def mesh_of_revolution(point: FloatArray, axis: FloatArray, profile: Sequence[tu
     first = np.arange(SIDES)
     ring = np.stack((first, (first + 1) % SIDES, first + SIDES, (first + 1) % SIDES + SIDES), axis=1)
     corner = np.concatenate([ring + k * SIDES for k in range(len(profile) - 1)])
-    return Mesh(corners, np.concatenate((corner[:, [0, 1, 2]], corner[:, [1, 3, 2]])))
+    rings, lines = len(profile), NO_LINES
+    if rings > 2:  # otherwise, its borders show its shape
+        parallels = np.arange(0, rings, max(1, rings // _PARALLELS))[1:, None] * SIDES
+        meridians = np.arange(0, SIDES, SIDES // _MERIDIANS) + np.arange(rings - 1)[:, None] * SIDES
+        hoops = np.stack((parallels + first, parallels + (first + 1) % SIDES), axis=2).reshape(-1, 2)
+        lines = np.concatenate((hoops, np.stack((meridians, meridians + SIDES), axis=2).reshape(-1, 2)))
+    return Mesh(corners, np.concatenate((corner[:, [0, 1, 2]], corner[:, [1, 3, 2]])), lines)

@@ -120,7 +120,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
             albedo_factor=_TRANSLUCENT,
         )
         yield paths.SHAPES, together
-        rims = [_rims(mesh) - origin for mesh in meshes]
+        rims = [np.concatenate((_rims(mesh), mesh.corners[mesh.lines])) - origin for mesh in meshes]
         entities = [f"{paths.MOVING}/wall-{k}" for k in range(len(rims))] if header.drives else []
         for path, lines in ((paths.SHAPES, np.concatenate(rims)), *zip(entities, rims, strict=False)):
             if len(lines):
