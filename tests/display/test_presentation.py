@@ -250,6 +250,15 @@ def test_an_impact_at_the_end_of_a_step_has_speeds_before_and_after_too(tmp_path
         assert f"■ {name} close up: speed {first} before, {last} m/s after" in lines
 
 
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, -0.8, 0.0]])
+def test_a_close_up_is_seen_from_where_no_arrow_points_at_the_eye(normal: list[float]) -> None:
+    contact = close_up.Contact(np.zeros(3), np.array(normal), 1.0, np.array(normal), None, np.zeros((2, 3)))
+    usual = close_up._direction(np.zeros((1, 3)), contact, np.zeros((0, 3)))
+    assert usual is not None
+    to_eye = close_up._direction(np.zeros((1, 3)), contact, usual[None])
+    assert to_eye is not None and abs(to_eye @ usual) < np.sqrt(1.0 - close_up._SEEN**2), "at least half of it is seen"
+
+
 def legend_texts(shown: Presentation) -> list[str]:
     legend: Any = dict(shown.supplement.statics)[LEGEND]
     return [" ".join(text.strip("\xa0\xad").split()) for text in legend.labels.as_arrow_array().to_pylist()]
@@ -449,6 +458,8 @@ def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) ->
         colours=np.zeros(2, dtype=np.int64),
     )
     assert pair_of_step(replace(frame, contacts=graph, contact_rows=rows), bodies=2) == Pair(1, None, plane=0)
+    rows["friction_x"][0] = 4.0
+    assert pair_of_step(replace(frame, contacts=graph, contact_rows=rows), bodies=2) == Pair(0, 1), "with friction"
 
 
 @pytest.mark.parametrize(

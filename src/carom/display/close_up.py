@@ -17,18 +17,19 @@ from numpy.typing import NDArray
 from carom.arrays import FloatArray, SingleArray
 from carom.contact_table import IMPACT_MODE
 from carom.display.body_colours import BodyColours
-from carom.display.legend import DrawnLabels, Legend, LegendLine, MovieClock
+from carom.display.legend import DrawnLabels, Legend, LegendLine, MovieClock, in_digits
 from carom.display.letters import apart, beyond, label_width
 from carom.display.margins import moving
 from carom.display.request import ShownStep, at_impact
 from carom.display.staging import axes_and_field
 from carom.display.supplement import Static
 from carom.physics.vector import minimum_images
-from carom.recording.layout import FIELD, drawing, faint_bodies
+from carom.recording.layout import FIELD, drawing, faint_bodies, is_crowded, subdued
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import (
     CORNERS,
     LEGEND,
+    UP,
     Area,
     CameraMotion,
     LensView,
@@ -36,6 +37,7 @@ from carom.recording.layout.canvas import (
     free_corner,
     spatial_view,
     surroundings,
+    turned,
     views_of,
 )
 from carom.recording.layout.drawing import line_radii, single
@@ -58,6 +60,10 @@ FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
 _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
 _MOST_BYTES = 200_000_000  # most bytes of positions that are read to follow the bodies
 _ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
+_USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
+_AROUND = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from it, nearest first
+_SEEN = 0.5  # least length on the screen, over its length, of an arrow that is no speck
+_SHORT = 0.1  # of the longest arrow of its kind; a shorter arrow is a speck from anywhere
 _NORMAL = 0.9  # length of the normal, in radii of the smaller body
 _SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
 _VELOCITY = 1.3  # length of the longest velocity's arrow, in radii of the smaller body
@@ -149,11 +155,20 @@ class CloseUp:
                 f"Close-up: {self.names}",
                 self.eye,
                 contents,
-                faint_bodies(header, recoloured, palette.FADED[self.area.theme]),
+                faint_bodies(header, recoloured, subdued(header, self.area.theme), self._neighbours()),
             ),
             follows=FOLLOWED,
             theme=self.area.theme,
         )
+
+    def _neighbours(self) -> Sequence[int]:
+        """Return the bodies that a picture of a crowd shows: those that touch one of the pair; () for all."""
+        frame = (self.instant or self.step).frame
+        if not self.is_brief or frame is None or not is_crowded(self.header):
+            return ()
+        pairs = frame.contacts.pairs
+        ends = np.unique(pairs[np.isin(pairs, self.bodies).any(axis=1)])
+        return [*{*self.bodies, *ends[ends < self.header.bodies].tolist()}]
 
     def statics(self, header: Header) -> Iterable[Static]:
         """Yield sizes and colours of the entities."""
@@ -173,8 +188,8 @@ class CloseUp:
         yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.GROUNDS[self.area.theme])
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
         yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=palette.VERMILION)
-        yield BEFORE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=_EARLIER[self.area.theme])
-        yield VELOCITY, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=ink)
+        yield BEFORE, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=_EARLIER[self.area.theme])
+        yield VELOCITY, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=ink)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=impulse)
         yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
         # on the arrows themselves, the labels would have their colours
@@ -306,7 +321,7 @@ class CloseUp:
             moving = whole & (speed > _ROUNDING * speeds.max())
             vectors = _VELOCITY * small * velocity[moving] / (speeds.max() or 1.0)
             apart = off * self.header.radius[list(self.bodies)][moving, None]
-            texts = [self.header.units.text(each, dimension.VELOCITY, ".3g") for each in speed[moving].tolist()]
+            texts = [in_digits(self.header.units, each, dimension.VELOCITY) for each in speed[moving].tolist()]
             short = texts if path == VELOCITY else []
             start = self.position[moving] + apart * self.aside - 0.5 * vectors
             yield _Arrows(path, start, vectors, [], 0.5, short=short, way=self.aside)
@@ -317,7 +332,7 @@ class CloseUp:
             return []
         speeds = np.linalg.norm(self.velocity, axis=2)
         speeds[speeds <= _ROUNDING * speeds.max(initial=0.0)] = 0.0
-        texts = [self.header.units.text(speed, dimension.VELOCITY, ".3g") for speed in speeds[-1].tolist()]
+        texts = [in_digits(self.header.units, speed, dimension.VELOCITY) for speed in speeds[-1].tolist()]
         if len(speeds) == 1:
             return [f"speed {text}" for text in texts]
         first = [self.header.units.shown(speed, dimension.VELOCITY) for speed in speeds[0].tolist()]
@@ -388,12 +403,11 @@ class CloseUp:
         vectors = (reach * signs)[drawn, None] * contact.impulse / (size or 1.0)
         if not drawn.any():
             return _Arrows(IMPULSE, self.position[drawn], vectors, [])
-        text = header.units.text(size, dimension.IMPULSE, ".3g")
-        # tables list the normal impulse
-        together = ", friction included" if contact.friction > _ROUNDING * size else ""
+        text = in_digits(header.units, size, dimension.IMPULSE)
+        together = ", friction included" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
         if contact.force is None:
             return _Arrows(IMPULSE, self.position[drawn], vectors, [text + together], short=[text])
-        force = header.units.text(contact.force, dimension.FORCE, ".3g")
+        force = in_digits(header.units, contact.force, dimension.FORCE)
         labels = [f"{force}{together}, {text} in the step"]
         return _Arrows(IMPULSE, self.position[drawn], vectors, labels, short=[force])
 
@@ -439,7 +453,7 @@ class CloseUp:
         if of_all is not None:
             values = drawing.magnitudes(of_all[list(self.bodies)])
         texts = [
-            f"angular impulse {header.units.text(value, dimension.ANGULAR_IMPULSE, '.3g')}" for value in values.tolist()
+            f"angular impulse {in_digits(header.units, value, dimension.ANGULAR_IMPULSE)}" for value in values.tolist()
         ]
         return _Arrows("", self.position, np.zeros_like(self.position), texts, bodies=range(len(texts)))
 
@@ -535,7 +549,9 @@ def close_up(
     if contact is not None:
         tip = contact.point + _NORMAL * header.radius[places].min() * contact.normal
         ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
-    aside = _beside(_fit(header.radius[places], seen, contact).view(area.aspect), contact, spin)
+    turning = [each for each in (spin, spin_before) if each is not None]
+    to_eye = _direction(seen, contact, _lengths(velocity), _lengths(np.array(turning) if turning else None))
+    aside = _beside(_fit(header.radius[places], seen, to_eye).view(area.aspect), contact, spin)
     if velocity is not None:
         longest = float(np.linalg.norm(velocity, axis=2).max()) or 1.0
         # bodies that are not shown whole have no arrows of velocities
@@ -548,7 +564,7 @@ def close_up(
     shown, radii = np.concatenate([seen, around]), np.pad(_ROOM * sizes, (0, len(around)))
 
     def eye_of(area: Area) -> View:
-        return _fit(sizes, seen, contact).view(area.aspect, narrow=area.rendered, tips=ends, inset=area.inset_share)
+        return _fit(sizes, seen, to_eye).view(area.aspect, narrow=area.rendered, tips=ends, inset=area.inset_share)
 
     made = CloseUp(
         header=header,
@@ -640,18 +656,38 @@ def _impulse_radii(radius: FloatArray) -> FloatArray:
     return np.asarray(_IMPULSE * radius * (radius <= _MOST_UNLIKE * radius.min()))
 
 
-def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
-    """Fit the camera to both bodies; if one body is many times larger, to the smaller body."""
+def _lengths(vectors: FloatArray | None) -> FloatArray:
+    """Return the arrows (k, 3) of vectors (..., 3) that are not short, over the length of the longest."""
+    if vectors is None:
+        return np.zeros((0, 3))
+    each = vectors.reshape(-1, 3)
+    sizes = drawing.magnitudes(each)
+    longest = float(sizes.max(initial=0.0))
+    return np.asarray(each[sizes > _SHORT * longest] / longest if longest > 0.0 else np.zeros((0, 3)))
+
+
+def _direction(position: FloatArray, contact: Contact | None, *arrows: FloatArray) -> FloatArray | None:
+    """Choose the direction to the eye of bodies at (b, 3) m: the usual one, or the nearest that shows all arrows.
+
+    It is nearly perpendicular to the normal. ``arrows`` are (k, 3) each. Without a normal, the camera chooses.
+    """
     normal = None if contact is None else contact.normal
-    if len(radius) == 2 and normal is None:
+    if len(position) == 2 and normal is None:
         apart = position[1] - position[0]
         normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
-    to_eye = None
-    if normal is not None:  # the eye looks nearly perpendicularly to the normal
-        usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
-        direction = usual - _ASIDE * (usual @ normal) * normal
-        size = float(np.linalg.norm(direction))
-        to_eye = np.asarray(direction / size if size > 0.0 else usual)
+    if normal is None:
+        return None
+    ways = np.stack([turned(_USUAL, UP, angle) for angle in _AROUND])
+    ways -= _ASIDE * (ways @ normal)[:, None] * normal
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    drawn = np.concatenate(arrows)
+    towards = np.abs(ways @ (drawn / np.linalg.norm(drawn, axis=1, keepdims=True)).T)
+    seen = np.sqrt(1.0 - np.minimum(towards, 1.0) ** 2).min(axis=1, initial=1.0)
+    return np.asarray(ways[int(np.argmax(np.minimum(seen, _SEEN)))])
+
+
+def _fit(radius: FloatArray, position: FloatArray, to_eye: FloatArray | None) -> CameraFit:
+    """Fit the camera to both bodies; if one is many times larger, to the smaller."""
     if radius.max() > _MOST_UNLIKE * radius.min():
         place = [int(np.argmin(radius))]
         return CameraFit(3.0 * radius[place], position[place], to_eye=to_eye)

@@ -32,14 +32,17 @@ from carom.recording.write.encoder import SPEED
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.dimension import Dimension
+from carom.scene.units.system import UnitSystem
 from carom.scene.wording import counted
 from carom.state.frame import Frame
 
 BODIES, GRAPH = "bodies", "graph"  # views
 _SPACE = (BODIES, GRAPH)
-MOST_NAMED = 6  # most bodies with an entry each, so that the scales of arrows remain visible
+MOST_NAMED = 7  # most bodies with an entry each, so that the scales of arrows remain visible
 _LEAST_NAMED = 2  # fewest lines about bodies that a legend has
 
+_TINY = -6  # power of ten from which on the numbers of a scale have it as a common factor
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _KEPT = "\u00a0"  # a space at which no line is broken
 _ROW = 25.0  # points, distance from one line to the next
 _MARGIN = 5.0  # points, margin around the lines
@@ -243,7 +246,7 @@ def _wrapped(entries: Sequence[LegendLine], width: float) -> Iterator[LegendLine
 
 
 def _more_bodies(count: int) -> LegendLine:
-    return LegendLine(f"and {count} more, in other shades", palette.GREY, _SPACE, count)
+    return LegendLine(f"and {count} more", palette.GREY, _SPACE, count)
 
 
 def legend(
@@ -437,15 +440,27 @@ def _scale(header: Header, path: str, reference: float) -> str:
     if not reference:
         return "1 radius = the median"
     kind = DIMENSIONS[path]
-    texts = [_round(header, magnitude_at(radii, REACH[path], reference), kind) for radii in _LENGTHS.values()]
+    values = [magnitude_at(radii, REACH[path], reference) for radii in _LENGTHS.values()]
+    power = 3 * int(np.floor(np.log10(header.units.shown(values[1], kind)) / 3.0))
+    common = 10.0**power if power <= _TINY else 1.0
+    texts = [_round(header, value / common, kind) for value in values]
     unit = texts[-1].partition(_KEPT)[2]
-    return ", ".join([*(text.removesuffix(f"{_KEPT}{unit}") for text in texts[:-1]), texts[-1]])
+    listed = ", ".join([*(text.removesuffix(f"{_KEPT}{unit}") for text in texts[:-1]), texts[-1]])
+    if common == 1.0:
+        return listed
+    factor = f"×10{str(power).translate(_RAISED)}"
+    return listed.removesuffix(unit) + factor + _KEPT + unit
 
 
 def _round(header: Header, value: float, kind: Dimension) -> str:
-    """Write two digits of a magnitude, and a number below a million without an exponent."""
-    number, _, unit = header.units.text(value, kind, ".2g").partition(" ")
-    return f"{float(number):.6g}{_KEPT}{unit.replace(' ', _KEPT)}"
+    """Write two digits of a magnitude, with spaces at which no line is broken."""
+    return in_digits(header.units, value, kind, 2).replace(" ", _KEPT)
+
+
+def in_digits(units: UnitSystem, value: float, kind: Dimension, digits: int = 3) -> str:
+    """Write some digits of a number with its unit, and a number below a million without an exponent."""
+    number, space, unit = units.text(value, kind, f".{digits}g").partition(" ")
+    return f"{float(number):.6g}{space}{unit}"
 
 
 def _arrows(

@@ -22,7 +22,7 @@ from carom.display.motion_marks import motion_marks
 from carom.display.picture import headless, stable_picture, window_of
 from carom.display.presentation import asked, uniform_field
 from carom.display.request import Request
-from carom.display.staging import Staging, caption, decades, impact_strip, whole_span
+from carom.display.staging import Staging, caption, decades, impact_strip, names_that_fit, whole_span
 from carom.display.supplement import Supplement
 from carom.display.viewer import Viewer
 from carom.errors import RecordingError
@@ -307,7 +307,8 @@ def _layout(
     placed = margins(*parts, poses=lambda eye: staging.poses(eye, positions), times=np.array(times))
     statics = [*bands, *styles, *staging.statics(theme), *arrow_styles(header, theme), *placed.statics]
     statics += motion_marks(header, recording.origin, placed.view, placed.area, float(times[0]))
-    layout = blueprint(header, staging.camera, curves, canvas, view, placed.added)
+    named = names_that_fit(header, positions[int(middling)], placed.view, placed.area)
+    layout = blueprint(header, staging.camera, curves, canvas, view, replace(placed.added, named=named))
     drawn = [
         *strip,
         *drawn_logarithms,

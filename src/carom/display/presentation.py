@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from carom.arrays import FloatArray
+from carom.contact_table import SLIDING
 from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.display.close_up import close_up
 from carom.display.legend import (
@@ -45,7 +46,9 @@ from carom.recording.layout import (
     close_up_area,
     graph_name,
     hidden_arrows,
+    is_crowded,
 )
+from carom.recording.layout.camera import FEW
 from carom.recording.layout.canvas import Additions, CameraMotion, Canvas
 from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.lookup import names_of, tolerance
@@ -245,9 +248,11 @@ def presentation(
         grid=staging.grid,
         theme=canvas.theme,
     )
+    touching = _few_touching(recording, header, paused)
     if in_groups:
         more = {} if close is None else {f"Close-up: {close.names}": close.lines(canvas.theme)}
-        words = words.grouped(graph_name(header), more)
+        name = graph_name(header)
+        words = words.grouped(f"{name}, only bodies that touch" if touching else name, more)
         words = replace(words, entries=[*words.entries, *_strip_lines(recording, paused.time)])
     elif close is not None:
         words = replace(words, entries=[*words.entries, *close.speed_lines()])
@@ -259,7 +264,7 @@ def presentation(
         marks=marks,
     )
     arrows = drawn_arrows(header, recording.origin, paused, references, hidden_arrows(header, added))
-    added = replace(added, tips=arrow_tips(arrows))
+    added = replace(added, tips=arrow_tips(arrows), touching=touching)
     if canvas.rendered and only in _PLOTS:
         title = [*([header.title] if drawable(header.title) else []), written]
         for row, static in caption(title, canvas.theme, span[0]):
@@ -304,12 +309,15 @@ def _what_happens(recording: Recording, step: ShownStep, paused: ShownStep, pair
         return f": {met}{', the hardest impact of the run' if hardest else ''}"
     if paused.frame is None:
         return ""
-    touching = len(paused.frame.contacts.pairs)
+    touching, rows = len(paused.frame.contacts.pairs), paused.frame.contact_rows
+    slides = 0 if rows is None else int(np.count_nonzero(rows["mode"] == SLIDING))
+    happens = f": {counted(touching, 'contact')}" if touching else ": nothing touches"
+    happens += f", {'it slides' if touching == 1 else f'{slides} of them slide'}" if slides else ""
     if recording.closing.get("moments.contacts.step") == step.step:
-        return f": {counted(touching, 'contact')}, the most of the run"
+        return f"{happens}, the most of the run"
     if step.step == int(recording.fingerprints()[STEP].to_numpy()[-1]):
-        return ": the end of the run"
-    return f": {counted(touching, 'contact')}" if touching else ": nothing touches"
+        return f"{happens}; the end of the run"
+    return happens
 
 
 _PHASES = {
@@ -395,6 +403,15 @@ def _instant(
         if rows.path != paths.IMPACT_SPINS
     ]
     return found, dict(encoder.arrow_references)
+
+
+def _few_touching(recording: Recording, header: Header, shown: ShownStep) -> Sequence[int]:
+    """Return the bodies of a crowd that touch something at a step, or an instant, if they are few; otherwise none."""
+    if shown.frame is None or not is_crowded(header) or len(recording.shown) != header.bodies:
+        return ()
+    ends = np.unique(shown.frame.contacts.pairs)
+    found: list[int] = ends[ends < header.bodies].tolist()
+    return found if len(found) <= FEW else ()
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:

@@ -52,12 +52,15 @@ class Request:
 
 
 def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
-    """Return the ends of the contact with the largest impulse, or of the first contact; None without contacts."""
+    """Return the ends of the contact with the largest impulse, friction included, or of the first; None without any."""
     graph = frame.contacts
     if not len(graph):
         return None
     rows = frame.contact_rows
-    row = graph.first if rows is None or len(rows) != len(graph) else int(np.argmax(rows["normal_impulse"]))
+    row = graph.first
+    if rows is not None and len(rows) == len(graph):
+        parts = np.stack([rows[name] for name in ("normal_impulse", "friction_x", "friction_y", "friction_z")], axis=1)
+        row = int(np.argmax(np.linalg.norm(parts, axis=1)))
     i, j = (int(end) for end in graph.pairs[row])
     return Pair(i, j) if j < bodies else Pair(i, None, j - bodies)
 

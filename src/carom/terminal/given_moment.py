@@ -26,7 +26,7 @@ def at_option(default: str) -> Any:
 
 
 AtOption = Annotated[
-    OptionalTime, at_option("the hardest impact or, without any, the most contacts or the end")
+    OptionalTime, at_option("the hardest impact or, without any, the most contacts, the middle of a slide, or the end")
 ]  # default: the moment that `Recording.moment` returns
 
 

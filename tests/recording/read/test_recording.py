@@ -157,11 +157,21 @@ def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, scrip
     assert Recording.open(tmp_path / "run.rrd").moment() == frames[33].time
 
 
-def test_a_ball_that_slides_from_the_start_on_is_shown_at_the_end(tmp_path: Path) -> None:
-    ball = {"position": [0.0, 0.0, 0.1], "velocity": [1.0, 0.0, 0.0], "radius": 0.1, "mass": 1.0}
-    document = {"gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}, "plane": [{}]}
-    run(scene_of([ball], time={"duration": 0.2, "fixed_dt": 0.01}, **document), tmp_path / "run.rrd")
-    assert Recording.open(tmp_path / "run.rrd").moment() == pytest.approx(0.2)
+def test_a_ball_that_slides_from_the_start_is_shown_half_way_through_its_slide(tmp_path: Path) -> None:
+    """Friction takes μ m g over the length of the slide, at a speed that falls evenly: half is gone early."""
+    ball = {"radius": 0.05, "position": [0.0, 0.0, 0.05], "velocity": [1.0, 0.0, 0.0]}
+    scene = scene_of(
+        [ball],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"static_friction": 0.2, "kinetic_friction": 0.2},
+        time={"duration": 1.0, "fixed_dt": 0.005},
+        record={"every": "step"},
+        plane=[{}],
+    )
+    run(scene, tmp_path / "slide.rrd")
+    slide = 2.0 / 7.0 / (0.2 * 9.81)  # s, until the ball rolls
+    shown = Recording.open(tmp_path / "slide.rrd").moment()
+    assert shown == pytest.approx((1.0 - 0.5**0.5) * slide, abs=0.01), "two steps"
 
 
 def test_a_series_that_no_recording_has_is_refused_with_those_there_are(tmp_path: Path, scripted: ScriptedRun) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -25,7 +26,7 @@ from carom.recording.layout.canvas import (
     surroundings,
     taken_from,
 )
-from carom.recording.layout.drawing import arrow_length, shape
+from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.layout.plot_views import energy_view, plot_views, time_axis
 from carom.recording.schema import palette, paths
 from carom.recording.schema.curve_outline import Curves
@@ -201,6 +202,8 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
     # how far (m) arrows of medium length extend from the bodies
     room = arrow_length(header, paths.TORQUE) / 2 if header.has_torque else 0.0
     inset, moment = area.inset_share, added.moment
+    if area.rendered and added.touching:
+        camera = camera.of(added.touching)
     return camera.view(
         *(area.aspect, room), narrow=area.rendered, trails=False, tips=added.tips, moment=moment, inset=inset
     )
@@ -209,6 +212,8 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show the collision graph; its edges are drawn by their impulses if these are recorded."""
     hidden: Overrides = {path: rrb.EntityBehavior(visible=False) for path in hidden_arrows(header, added)}
+    only = added.touching if area.rendered else ()
+    hides = is_crowded(header) and not only
     numbers: Overrides = {} if is_crowded(header) else {path: _with_numbers(area.theme) for path in paths.PARALLEL}
     return spatial_view(
         graph_name(header),
@@ -222,7 +227,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
             *([f"{LEGEND}/**"] if area.inset[0] else []),
         ],
         # among many wires in the colours of bodies, arrows could not be seen
-        faint_bodies(header, added.recoloured, palette.FADED[area.theme] if is_crowded(header) else None)
+        faint_bodies(header, added.recoloured, subdued(header, area.theme) if hides else None, only)
         | _edges(header, area.theme, wide=True)
         | hidden
         | numbers,
@@ -230,12 +235,29 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
     )
 
 
-def faint_bodies(header: Header, recoloured: bool = False, colour: int | None = None) -> Overrides:
-    """Draw bodies as thin wires, in one colour or in their own, so that they do not hide edges and arrows."""
+def subdued(header: Header, theme: str) -> int:
+    """Return the colour of wires that are not the subject of a view: in crowds they cross most, and are faintest."""
+    return (palette.FAINTEST if is_crowded(header) else palette.FADED)[theme]
+
+
+def faint_bodies(
+    header: Header, recoloured: bool = False, colour: int | None = None, only: Sequence[int] = ()
+) -> Overrides:
+    """Draw bodies as thin wires, in one colour or in their own, so that they do not hide edges and arrows.
+
+    With ``only``, the others are too small to be seen.
+    """
     match shape(header):
         case "ellipsoids":
             width = rr.Radius.ui_points(0.4)
-            thin = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=width, colors=colour)
+            sizes = None
+            if only:
+                size = _HIDDEN * header.radius
+                size[list(only)] = header.radius[list(only)]
+                sizes = np.repeat(single(size), 3).reshape(-1, 3)
+            thin = rr.Ellipsoids3D.from_fields(
+                half_sizes=sizes, fill_mode="MajorWireframe", line_radii=width, colors=colour
+            )
             colours = {"Ellipsoids3D:colors": "Points3D:colors"} if recoloured and colour is None else {}
             return {paths.BODIES: thin.visualizer(mappings=taken_from(colours))}
         case "points":

@@ -165,6 +165,13 @@ class CameraFit:
         highest = _INTO if header.shapes is not None and pulled else _HIGHEST
         return cls(header.radius, first, corners, None, up, motion, edge_on, header.has_torque, highest)
 
+    def of(self, bodies: Sequence[int]) -> CameraFit:
+        """Return a camera for some bodies at the first moment only, from the side that suits the motion of all."""
+        if len(self._radius) < self._bodies:  # only a sample is measured
+            return self
+        to_eye = self.view().to_eye
+        return CameraFit(self._radius[list(bodies)], self._begin[list(bodies)], None, to_eye, self.up, self.motion)
+
     @property
     def is_few(self) -> bool:
         """Whether the bodies are so few that each frame should be measured."""

@@ -219,6 +219,7 @@ class Additions:
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
     moment: bool = False  # whether a picture shows one moment, so that other moments need not be inside it
     tips: FloatArray | None = None  # (k, 3) m, tips of the arrows that are drawn at the moment
+    touching: Sequence[int] = ()  # the few bodies of a crowd that a picture of the contacts shows; () for all
     marks: FloatArray | None = None  # (k, 3) m, points around the drawn points of impacts
     inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
     caption: Sequence[str] = ()  # title of a plot that fills the picture

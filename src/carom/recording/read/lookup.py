@@ -119,20 +119,22 @@ def moment(recording: RecordedData, at: float | None) -> float:
             return last
         found = recording.impacts()
         return float(found["time"][int(np.argmax(found["normal_impulse"].to_numpy()))].as_py()) if len(found) else last
+    from_start = recording.closing.get("moments.contacts.step") == 1  # as a ball that rolls
     for name in ("impact", "contacts"):
         known = float(recording.closing.get(f"moments.{name}.time", np.nan))
-        if times[0] <= known <= times[-1]:
-            from_start = name == "contacts" and recording.closing.get("moments.contacts.step") == 1
-            return float(times[-1]) if from_start else known
+        if times[0] <= known <= times[-1] and not (name == "contacts" and from_start):
+            return known
     energy = recording.energy()
     if "restitution" in energy.column_names:
         taken = _column(energy, "restitution")
         taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
         lost = np.diff(taken, prepend=taken[:1])
+        if from_start and lost.max() > 0:  # half way through its slide, a ball has a path and slides
+            return float(_column(energy, "time")[np.argmax(taken >= 0.5 * taken.max())])
         if lost.max() > 0:
             return float(_column(energy, "time")[np.argmax(lost)])
     steps = recording.steps()
-    if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
+    if not from_start and "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
         return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
     return float(times[-1])
 

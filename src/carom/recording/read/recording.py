@@ -181,6 +181,7 @@ class Recording(RecordedData):
     def moment(self, at: float | None = None) -> float:
         """Return the time (s) to show: the given time, or else the hardest impact, the most contacts, or the end.
 
+        Where bodies touch from the start on, it is the time at which half of the energy that friction takes is gone.
         A run that closed its file has recorded the hardest impact; otherwise, the frames are searched. In a clip of
         selected bodies, the hardest impact is the impact with the largest impulse on these bodies. Raises
         RecordingError if there is no frame, or the given time is not in the recording.

@@ -123,6 +123,7 @@ MOST_SINGLE = 70  # most single bodies that get hues in turn; with more bodies, 
 _GOLDEN = 0.6180339887498949  # fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.3  # fraction by which the darkest body of a group is darker than the group's hue
 FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of bodies that are not the subject of a view
+FAINTEST = {"dark": 0x232833FF, "light": 0xE2E4E9FF}  # the same in crowds
 # luminances with a contrast of 4.5 to 1 on labels, whose grounds are #efefef and #1b1d20 in pictures
 _BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminances with a contrast of 3 to 1 on white, and on a dark plot
