@@ -54,8 +54,8 @@ def test_a_body_is_told_that_a_material_has_its_restitution() -> None:
     with pytest.raises(SceneError) as caught:
         scene_from_text(ONE_BODY, "x.toml", ["body.0.restitution=0.5"])
     assert str(caught.value) == (
-        "the override body.0.restitution=0.5: unknown key body.0.restitution; give it to a [[material]] that the body "
-        "names, or to all by contact.restitution"
+        "the override body.0.restitution=0.5: unknown key body.0.restitution; set it in a [[material]] that the body "
+        "names, or for all bodies by contact.restitution"
     )
 
 

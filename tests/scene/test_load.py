@@ -272,7 +272,7 @@ MISTAKES = {
         "[record]\ncolour_by = 'material'\n" + ONE_BODY,
         ['record.colour_by = "material"', "without a [[material]]"],
     ),
-    "a coefficient of a body": ("[[body]]\nrestitution = 0.3\n", [":2:", "give it to a [[material]]"]),
+    "a coefficient of a body": ("[[body]]\nrestitution = 0.3\n", [":2:", "set it in a [[material]]"]),
     "a body in a plane": (
         "[[body]]\nposition = [0, 0, 0.75]\n[[plane]]\nname = 'floor'\n",
         ["body.0 overlaps floor by 0.25 m", "allow_overlap"],

@@ -56,7 +56,7 @@ def hint(path: KeyPath) -> str:
         near = _near(key, here, ALIKE)
         return _meant([near]) if near else f"; no installed package has a force of that name (in {sys.prefix})"
     if path[0] in ("body", "group") and key in Coefficients._fields:
-        return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
+        return f"; set it in a [[material]] that the {path[0]} names, or for all bodies by contact.{key}"
     if near := _near(key, here, ALIKE):
         return _meant([near])
     choices = _chosen_by_few()

@@ -66,7 +66,7 @@ def measure_network(interval: Interval) -> Statistic:
     of_held_body, over_held = (float(of_held.mean()), kept_contacts / held_count) if held_count else (np.nan, np.nan)
     values = {
         "frames": MeasuredValue("frames with their contacts", frames),
-        "contacts": MeasuredValue("contacts that carry an impulse, of a frame", len(contacts.i) / frames),
+        "contacts": MeasuredValue("contacts in a frame that carry an impulse", len(contacts.i) / frames),
         "coordination": MeasuredValue("contacts of a body", float(each.mean())),
         "rattlers": MeasuredValue(f"rattlers, held by fewer than {fewest} contacts", rattlers / bodies),
         "coordination_of_held": MeasuredValue("contacts of a body without rattlers", of_held_body),

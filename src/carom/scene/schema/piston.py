@@ -30,7 +30,7 @@ class Piston(Section):
     )
     velocity: Annotated[Real, VELOCITY] = Field(0.0, description="m/s, velocity along the normal at the start")
     max_speed: Annotated[Positive, VELOCITY] | None = Field(
-        None, description="m/s, up to which its load accelerates it; by default without end"
+        None, description="m/s, largest speed to which the load accelerates the piston; by default unlimited"
     )
 
     @model_validator(mode="after")
