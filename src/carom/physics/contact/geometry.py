@@ -21,8 +21,9 @@ from carom.physics.jit.vectors import where
 from carom.physics.sheared_box import nearest_in_drift, set_image_velocity
 from carom.physics.vector import Vector, between, nearest_image, vector
 
-# Kernel arguments that belong together. They are plain tuples for kernels that Python calls in each step: Numba takes 5
-# µs for a named tuple, 0.5 µs for a plain one. With named tuples, a step of `heap` took 1.09 times as long.
+# Kernel arguments that belong together. These arguments are plain tuples for kernels that Python calls in each step:
+# Numba takes 5 µs for a named tuple, 0.5 µs for a plain one. With named tuples, a step of `heap` took 1.09 times as
+# long.
 Shapes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 """Positions (n, 3) m and radii (n,) m; box, as in `ConstraintSystem`; normals (p, 3) and offsets (p,) m of planes."""
 

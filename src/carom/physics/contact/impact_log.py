@@ -20,7 +20,7 @@ ROUNDING = 1e-14  # an approach slower than this is rounding, relative to a body
 MAX_IN_COLLAPSE = 100  # impacts in a drift after which a body is held, if e < 1 and no force presses
 # Number of impacts of a body in a drift after which it counts as rattling between bodies that press it, even if no
 # contact has yet carried a load. With e < 1, impacts of a rattling body slower than the load speed do not rebound.
-# Without this, bodies in the densest steps of `hopper` have 1300 impacts instead of 160 and are exhausted.
+# Without this number, bodies in the densest steps of `hopper` have 1300 impacts instead of 160 and are exhausted.
 MANY_IMPACTS = 30
 
 

@@ -250,7 +250,7 @@ class PairList:
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # scale and skin of the distance within which the list holds all pairs
         self._least = -np.inf  # m, the distance without the margin
-        self._calls = self._searches = 1  # calls since the list was made, and calls that need the margin
+        self._calls = self._searches = 1  # numbers of calls since the list was made, and of calls that need the margin
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 
@@ -330,7 +330,8 @@ def _test(
         for c in range(begin, min(len(listed), begin + PAIRS_PER_BLOCK)):
             i, j = ends_of(listed, c)
             dx, dy, dz = between(position, i, j)
-            near[m, 0], near[m, 1] = i, j  # without a branch, which would often be mispredicted
+            # the pair is written without a branch, because a branch would often be mispredicted
+            near[m, 0], near[m, 1] = i, j
             m += are_near(dx, dy, dz, radius[i] + radius[j], size, scale, skin)
         blocks[block].begin, blocks[block].count = begin, m - begin
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 NO_VELOCITIES: FloatArray = np.zeros((0, 3))
 # rad, largest turn of a contact's normal in a step if walls alone press. A body with the tangential velocity v moves
-# along a chord. It advances by the angle arcsin(v dt/f), which is too large by a sixth of its square: 7 × 10⁻⁵ of the
-# path.
+# along a chord. The body advances by the angle arcsin(v dt/f). This angle is too large by a sixth of its square: 7 ×
+# 10⁻⁵ of the path.
 LARGEST_TURN = 0.02
 
 
@@ -35,7 +35,7 @@ class MovingWalls(OptionalPart):
             bodies.ends.angular_velocity[len(bodies) :] = solids.spin
         self._translation: WallTranslation | None = None
         if solids.translates:
-            ends = slice(len(solids.owner))  # without the trees over facets
+            ends = slice(len(solids.owner))  # solids without the trees over facets
             motions = [solids.motions[k] for k in solids.owner]
             moving = solids.records[ends], solids.before[ends], bodies.ends, motions
             guided, smallest = solids.guided, float(bodies.radius.min())

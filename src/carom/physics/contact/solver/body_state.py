@@ -274,8 +274,8 @@ def half_turn(
     """Return the slip q (m/s) that the turn of the normal in the first half of a drift (s) ends, given v_t.
 
     The slip of bodies that drift changes by -w × δn, with w = ρ_i ω_i + ρ_j ω_j and the turn δn = v_t dt/d of the
-    normal. The tangential component of this change is -w_n n × δn. Where the turn or the spin is too large for this, q
-    is 0.
+    normal. The tangential component of this change is -w_n n × δn. If the turn or the spin is too large for this
+    correction, q is 0.
     """
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     about = (ri * a.wx + rj * b.wx) * nx + (ri * a.wy + rj * b.wy) * ny + (ri * a.wz + rj * b.wz) * nz

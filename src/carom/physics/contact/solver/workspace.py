@@ -139,7 +139,7 @@ class Workspace:
             inverse_mass=ends.inverse_mass,
             box=self._box,
             position=self._position,
-            surface=self._planes.surface[: len(self._planes.owner)],  # without the trees over facets
+            surface=self._planes.surface[: len(self._planes.owner)],  # surfaces without the trees over facets
             offset=self._planes.offset,
             bodies=self._bodies,
             pushed=self._pushed,
