@@ -38,7 +38,7 @@ from carom.scene.wording import Names
 from carom.state.frame import Frame
 
 LASTS = 4  # steps after which a pressing contact carries a load; the force that stops a slow impact ends sooner
-LOOK_AFTER = LASTS + 1.0  # steps for the loads of contacts after an interval
+LOOK_AFTER = LASTS + 1.0  # steps after an interval that are read for the loads of contacts
 RETURNS = 2.0  # steps; if a bounce would take longer (2 v/a), a step must not end it at rest
 SHARED = 5e-2  # fraction of the touching bodies' kinetic energy by which two runs may differ in how they share impulses
 # impulses otherwise
