@@ -1,9 +1,9 @@
 """Rerun's private interfaces, each with a fallback for versions of Rerun that lack it.
 
-No other module of carom uses private interfaces. Without them, recordings are written, read, resumed and shown in the
-same way, but more memory stays allocated, and a clip loses its layout. test_rerun_compat.py tries each interface and
-each fallback, as a canary for new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40
-can only record and replay.
+No other module of carom uses private interfaces. Without private interfaces, recordings are written, read, resumed and
+shown in the same way, but more memory stays allocated, and a clip loses its layout. test_rerun_compat.py tries each
+interface and each fallback, as a canary for new versions of rerun-sdk. Version 0.41 is the first whose viewer renders
+pictures; version 0.40 can only record and replay.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
 test in tests/display/test_web.py tries this interface in a browser.

@@ -1,4 +1,4 @@
-"""Where planes and walls that move are: a transform for each of them, at every frame and at impacts.
+"""The places of planes and walls that move: a transform for each, at every frame and at impacts.
 
 A plane is drawn as if it were infinite, so a displacement along itself shows nothing, and a conveyor belt that runs for
 ever would leave the view. A plane with a constant velocity is therefore displaced only along its normal; oscillations
