@@ -144,8 +144,8 @@ class LawAudit:
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
         """Yield the first fault of each law and the number of frames that break it, under the dotted keys of `outcome`.
 
-        These are preceded by the number of judged bodies, unless all were judged, and by the energy added by pushing
-        overlaps apart.
+        The faults are preceded by the number of judged bodies, unless all were judged, and by the energy added by
+        pushing overlaps apart.
         """
         self.conclude()
         if not self._setup.judged.all():

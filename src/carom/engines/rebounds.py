@@ -1,8 +1,8 @@
 """The coefficients of restitution of isolated impacts, compared over a whole run with similar impacts.
 
-Where two ends touch nothing else, their velocities before and after an impact give its coefficient. At the end of a
-run, it is known which coefficient this engine has at each speed. An impact of the same materials and a similar speed
-with another coefficient breaks the law.
+Where two ends touch nothing else, the velocities of both ends before and after an impact give the coefficient of this
+impact. At the end of a run, it is known which coefficient this engine has at each speed. An impact of the same
+materials and a similar speed with another coefficient breaks the law.
 """
 
 from __future__ import annotations
