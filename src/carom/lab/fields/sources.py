@@ -92,7 +92,7 @@ def _read(interval: Interval, collector: Collector) -> None:
     impulse = rows.impulse[:, None] * rows.normal
     collector.add_impacts(Pushes(rows.i, rows.j, start, whole, impulse, rows.time))
     known = np.einsum("ka,kb->ab", whole, impulse)
-    with suppress(RecordingError):  # without such sums, the recording raises an error
+    with suppress(RecordingError):  # if the recording lacks these sums, it raises an error
         collector.add_unplaced(interval.sums.virial - known, known)
 
 

@@ -39,7 +39,7 @@ from carom.scene.wording import bodies_called
 
 MOST_BODIES = 20  # most bodies; Python examines the pairs one by one
 MOST_CONTACTS = 10_000
-TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
+TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest accepted value
 SPEED_MARGIN = 1.5  # bound of a step's closing speed, relative to the largest value at its ends and middle
 TOUCHING = 1e-12  # largest gap of a contact, relative to the sum of radii, if rounding is smaller
 ROUNDINGS = 8.0  # tolerance of contact, in units in the last place of speeds and positions

@@ -4,10 +4,10 @@ One ball between planes has closed forms (`ball_on_planes.py`). Two further solu
 rounding errors, are checks.
 
 A few bodies in open space are solved exactly (`event_driven_reference.py`). Again two further solutions are checks.
-Their starts are displaced by rounding errors, which shows how fast chaos separates the runs, and one has a tolerance
-ten times looser. Other scenes are run with smaller and smaller steps, halved from run to run. Without forces, flights
-are exact and only times of impact can be wrong, so these runs locate times of impact within the step. The last run is
-the reference, and the run before it is the check.
+The starts of these runs are displaced by rounding errors, which shows how fast chaos separates the runs, and one has a
+tolerance ten times looser. Other scenes are run with smaller and smaller steps, halved from run to run. Without forces,
+flights are exact and only times of impact can be wrong, so these runs locate times of impact within the step. The last
+run is the reference, and the run before it is the check.
 
 The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
 system. Up to the horizon, the uncertainty of the reference is the largest error of a check. Beyond the horizon, only
@@ -71,7 +71,7 @@ class Errors:
     # errors of a settled pile, if trajectories are not compared to the end; see `settled_pile.Settled`
     height: float = math.nan  # relative to the reference
     density: float = math.nan  # relative to the reference
-    coordination: float = math.nan  # error in contacts per body
+    coordination: float = math.nan  # error of the number of contacts per body
     settled_energy: float = math.nan  # relative to the reference
     rest_time: float = math.nan  # s, error of the time at which the pile comes to rest
 
