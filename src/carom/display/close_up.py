@@ -350,7 +350,7 @@ class CloseUp:
         return [palette.INKS[theme]] * len(self.bodies) if fixed is None else fixed.tolist()
 
     def lines(self, theme: str) -> list[LegendLine]:
-        """Return the lines of a legend about this view: each body with its numbers, and the arrows with theirs."""
+        """Return the lines of a legend about this view: each body with its numbers, and the arrows with numbers."""
         colours, units = self._hues(theme), self.header.units
         arrows = [] if self.contact is None else self._labelled(self.contact, self.header)
         speeds, entries = self._speeds(), list[LegendLine]()

@@ -42,7 +42,7 @@ class Request:
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
     edges: str = "impulse"  # quantity that the edges beside the bodies show: "impulse", or the "stage" of the solver
-    # arrows of what turns bodies: "one" with both numbers, or "both", of torque and angular acceleration
+    # arrows of the causes of rotation: "one" with both numbers, or "both", of torque and angular acceleration
     arrows: str = "one"
 
     def __post_init__(self) -> None:

@@ -86,7 +86,7 @@ class Staging:
         trails = Trails(recording, header, colours, repeated) if has_trails(recording) else None
         if trails is not None:
             trails.show(camera, until)
-            # without contacts, show whole orbits, since all bodies may be near their pericentres now
+            # if the scene has no contacts, show whole orbits, since all bodies may be near their pericentres now
             if not header.collides or recording.closing.get("contacts.total") == 0:
                 camera.show_all()
         elif recording.frames > 1:
