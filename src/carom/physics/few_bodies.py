@@ -92,7 +92,7 @@ class FlightLaws(NamedTuple):
 
 
 class FlightClock(NamedTuple):
-    """Where the steps start and end."""
+    """The start and the end of the steps."""
 
     time: float  # s
     end: float  # s, end of the run

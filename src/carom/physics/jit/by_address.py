@@ -76,8 +76,8 @@ def _located(known: dict[str, Any]) -> Any:
 def by_address(code: Code, fields: Any) -> Any:
     """Return a named tuple as a located tuple, valid until the caller returns; an empty tuple is returned as it is.
 
-    An empty piece of assembly hides where the address comes from. Without it, LLVM might read fields before they are
-    stored, since it sees nobody write them.
+    An empty piece of assembly hides where the address comes from. Without this assembly, LLVM might read fields before
+    they are stored, since it sees nobody write them.
     """
     if not hasattr(code.kinds["fields"], "fields"):
         return fields

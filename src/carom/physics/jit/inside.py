@@ -113,7 +113,8 @@ _number_functions()
 os.register_at_fork(after_in_child=_number_functions)
 
 # At the start and end of each of its calls, llvmlite calls Numba back to time how long it holds a lock: 86 000 times in
-# a first run. Nobody uses these times. Without them, compilations and the loading of kernels take 0.95 of the CPU time.
+# a first run. Nobody uses these times. Without these calls, compilations and the loading of kernels take 0.95 of the
+# CPU time.
 _lock: Any = getattr(getattr(import_module("llvmlite.binding.ffi"), "lib", None), "_lock", None)
 for _callbacks in list(getattr(_lock, "_cblist", ())):
     if all(callback.__module__ == "numba.core.base" for callback in _callbacks):

@@ -55,7 +55,7 @@ ROUNDING = 8.0  # rounding ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
 FIRST_SHARE = (
     1.0 / 13.0
-)  # fraction of the budget for the coarsest trial run; `TRIED` finer runs and a twin take 12 times as much
+)  # fraction of the budget for the coarsest trial run; `TRIED` finer runs and a twin take 12 times this fraction
 
 
 class ExaminedRuns:

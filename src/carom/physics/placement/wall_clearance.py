@@ -3,8 +3,8 @@
 Walls at rest may cross: planes form boxes, and an end plane cuts a cylinder. Two things are mistakes: a wall behind
 another wall, where no body can be; and walls that are apart at the start but meet later, and crush the bodies between
 them. A wall is represented by points of its drawn surface. In the frame of another wall, these points move by the
-difference of both displacements. They cannot meet the other wall until this difference is as long as their distance
-from it.
+difference of both displacements. The points cannot meet the other wall until this difference is as long as the distance
+between points and wall.
 """
 
 from __future__ import annotations

@@ -184,7 +184,7 @@ def _sort(
                     az, bz = min(az, row.z), max(bz, row.z)
                 axis, middle = _longest_side(ax, bx, ay, by, az, bz)
                 half = over = i0
-                for i in range(i0, i1):  # without a branch: both halves are written, and one of them advances
+                for i in range(i0, i1):  # the code has no branch: both halves are written, and one of them advances
                     row = rows[i]
                     x0, y0, z0, index = row.x, row.y, row.z, row.index
                     along = x0 if axis == 0 else (y0 if axis == 1 else z0)

@@ -51,7 +51,7 @@ STEPS_PER_ORBIT = 20.0  # steps per period of the shortest orbit
 STEPS_OF_HEAVY = 50.0
 HEAVY = 2e-5  # mass relative to the dominant body
 FIRST_FRACTION = 0.01  # the first step that Gauss–Radau integration tries, as a fraction of the last step
-ANEW, FAR, CLOSE = range(3)  # phases: from the present state; in equal steps; by Gauss–Radau integration
+ANEW, FAR, CLOSE = range(3)  # phases: start from the present state, steps of equal length, and Gauss–Radau integration
 LIMITS = ("orbit", "cap", "fixed")  # limits that shorten a step
 
 
