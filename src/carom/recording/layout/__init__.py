@@ -366,7 +366,7 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     events = rrb.TextLogView(
         name=f"Events ({added.viewer_time})" if added.viewer_time else "Events",
         origin=paths.EVENTS,
-        # without the entity, which is always the same
+        # key without the entity, because the entity is always the same
         columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
     )
     documents = {"Scene": paths.SCENE, "Scene file": paths.SCENE_TOML, "About": paths.ABOUT}

@@ -49,7 +49,8 @@ _ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outsi
 _NEARBY = 1.6  # escaping bodies are also inside the view if this increases the distance by at most this factor
 _FAR = 20.0  # bodies farther from the middle than this, in median distances, may lie outside the picture
 _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the first moment fill
-_LOOSE = 1.7  # largest distance, relative to the smallest with the first moment inside; its bodies then fill 53 %
+# largest distance, relative to the smallest distance that shows the whole first moment; bodies then fill 53 %
+_LOOSE = 1.7
 # largest distance for paths, relative to the same: 23 for an orbit with e = 0.7 that begins at the pericentre, if the
 # aspect ratio is 3.3
 _LOOSE_PATHS = 25.0
