@@ -76,7 +76,8 @@ class DataFormat(NamedTuple):
     """A format of data files, registered in `carom.registry` under the suffix of its files."""
 
     called: str  # name in messages of a file of this format: "an Arrow file"
-    open: Callable[[Path, str, int], DataTable]  # opens a path, given the name in messages and the index of a step
+    # opens the file at a path, given the name in messages and the index of a step
+    open: Callable[[Path, str, int], DataTable]
     # times of the steps in a file, ascending, in the units of its numbers; None if the format states no times
     times: Callable[[Path, str], Sequence[float]] | None = None
 

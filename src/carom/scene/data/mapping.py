@@ -52,7 +52,7 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # names with x, y and z in place of 
     "velocity": (*(f"{name}*" for name in USUAL["velocity"]), "*velocity", "*vel"),
     "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"]), "*angularvelocity"),
 }
-_LOST = {  # beginnings of names of vectors that may hold a quantity under an unknown name
+_LOST = {  # names of vectors that may hold a quantity begin like this, if carom does not know the names
     "velocity": ("v", "lin", "momenta", "momentum"),
     "angular_velocity": ("ang", "om", "rot", "spin"),
 }

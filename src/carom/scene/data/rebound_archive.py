@@ -68,7 +68,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
     particles = len(simulation.particles)  # excludes variational particles, which N includes before version 5
-    # without radii or masses if all these are 0
+    # radii and masses are left out if all of them are 0
     everything = simulation.N
     position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
     mass, radius = np.zeros(everything), np.zeros(everything)
