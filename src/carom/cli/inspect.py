@@ -45,7 +45,8 @@ def inspect(
     mention_killed_run(file)
     with opened(file) as path:
         recording = Recording.open(path)
-        units, is_overlay = recording.units, recording.is_overlay  # both are read while the bundle is unpacked
+        # units and kind of file are read while the bundle is unpacked
+        units, is_overlay = recording.units, recording.is_overlay
         if is_overlay:  # the runs in a comparison, and the verdict
             summary = {"title": recording.title, **recording.overlaid}
         else:
