@@ -151,7 +151,7 @@ class ExtensionError(SceneError):
 
 
 class PartOrigin(NamedTuple):
-    """Where a part comes from."""
+    """The origin of a part."""
 
     target: str  # module:attribute
     package: str  # the distribution that defines the part; empty for carom's own parts
