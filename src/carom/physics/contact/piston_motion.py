@@ -9,8 +9,8 @@ on the piston's face would measure the impulse of the bodies on it, which is
     ∫ P dt = M Σ a dt - M Δu
 
 A pressure acts on the face between the other planes, some of which may be pistons. F is therefore computed from the
-expected displacements of all pistons in the middle of a step, and is constant within the step. A load accelerates a
-piston no further than to its largest speed, if it has one.
+expected displacements of all pistons in the middle of a step, and is constant within the step. If a piston has a
+largest speed, its load accelerates it to this speed at most.
 """
 
 from __future__ import annotations

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 ENTRY = "passage"  # name of the ledger entry
 PATIENCE = 0.05  # fraction of the run's duration for which a place may be taken before a warning
-LARGEST_MOVE = 0.5  # most displacement of a body in the step in which it enters, in radii; as `auto.LATE_CFL`
+# most displacement of a body in the step in which it enters, in radii; the same value as `auto.LATE_CFL`
+LARGEST_MOVE = 0.5
 
 
 class PassingBodies(OptionalPart):

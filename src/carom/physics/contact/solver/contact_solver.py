@@ -48,7 +48,7 @@ from carom.scene.start import HalfSpaces
 # `contact.sweeps` decides whether conjugate gradients follow the iterations. Their iterations end when r·z has fallen
 # to this fraction of its value at the start of the round; with other values of the key, no conjugate gradients follow.
 # After a round, contacts are released, so a more exact solution would solve other equations. In a falling heap of 1000
-# (benchmarks/heap.py), 0.3 takes a fifth of the iterations of 10⁻³ and leaves the same overlaps.
+# (benchmarks/heap.py), a fraction of 0.3 takes a fifth of the iterations that 10⁻³ takes, and leaves the same overlaps.
 SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
 # values of `contact.sweeps` with which small changes end the iterations
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")
