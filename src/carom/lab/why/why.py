@@ -61,7 +61,8 @@ class Answer:
     def closed(self) -> IntArray:
         """The cone and all bodies connected to it by contacts: nothing else could change the answer.
 
-        If bodies exert no forces on each other and the step is fixed, this holds bit for bit.
+        If bodies exert no forces on each other and the step is fixed, the answer keeps its bits without the other
+        bodies.
         """
         return np.flatnonzero(self.cone.closed())
 
