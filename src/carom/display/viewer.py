@@ -163,7 +163,8 @@ class Viewer:
     def _ask(self, question: Callable[[], _T], *, again: bool = True) -> _T:
         """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended.
 
-        A busy machine can take longer than Rerun waits for an answer. With ``again``, the question is then asked again.
+        A busy machine can take longer than Rerun waits for an answer. With ``again``, the question is repeated in this
+        case.
         """
         end = time.monotonic() + _LOAD
         while True:
