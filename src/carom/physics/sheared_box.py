@@ -6,8 +6,8 @@ L, image k along the gradient has at the time t the position and the velocity
     x + k (L_y ŷ + s x̂),    v + k γ L_y x̂,    s = γ L_y t
 
 where whole lengths L_x are subtracted from s. A body that leaves the box through a face along y enters through the
-other face as its image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. Its velocity relative to
-the flow, v - γ y x̂, does not change.
+other face as its image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. The velocity of the body
+relative to the flow, v - γ y x̂, does not change.
 
 Within a step, the paths of bodies and of their images are straight lines, with different velocities. Times of impact
 are found for each image that comes near (`time_of_impact.first_of_images`), and an impact has the velocity relative to

@@ -43,8 +43,8 @@ LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # indices of words on the board, each in 
 JOB, FIRST = DOER + 1, DOER + 2  # like DOER, these words are written by the leader only
 WORDS = 32
 PATIENCE = 5000  # polls of the board, about 20 µs, before an idle helper yields its core
-# number of polls between two jobs before a helper sleeps; with a fifth of it, two threads gain a factor of 1.38, not
-# 1.53
+# number of polls between two jobs before a helper sleeps; with a fifth of this number, two threads gain a factor of
+# 1.38, not 1.53
 LOOKOUT = 50 * PATIENCE
 SHIFT = 32  # number of pieces, some tenths of a millisecond, after which a busy helper yields its core
 SHARED = 0  # result of `_lead` when the job is done; any other result is the kind of arguments that needs code

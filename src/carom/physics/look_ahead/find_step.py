@@ -164,7 +164,7 @@ class _LookAhead(ExaminedRuns):
     def _find_cheapest(self, usual: Integrator) -> Promise:
         """Return the promise of the cheapest integrator that keeps the accuracy to the end, or else for longest.
 
-        Gauss–Radau integration, if it is the ``usual`` one, is tried if no other integrator is cheaper.
+        Gauss–Radau integration, if it is the ``usual`` integrator, is tried if no other integrator is cheaper.
         """
         best: Promise | None = None
         refused: SceneError | None = None
