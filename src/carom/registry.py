@@ -267,7 +267,7 @@ def _installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
             about = dict(distribution.metadata.json)
             package, version = str(about.get("name", "?")), str(about.get("version", "?"))
             entries = [each for each in distribution.entry_points if each.group.startswith(PREFIX)]
-        except Exception:  # metadata of a package, perhaps of an unneeded one, are damaged
+        except Exception:  # metadata of a package are damaged, perhaps of a package that is not needed
             continue
         for entry in entries:
             if (kind := entry.group.removeprefix(PREFIX)) in KINDS:
