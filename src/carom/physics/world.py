@@ -15,7 +15,7 @@ from carom.physics.contact.impact_totals import ImpactTotals
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.near_pairs import ContactWorld
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.contact.solids import solids_of
+from carom.physics.contact.solid_records import solids_of
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.force import TotalForce
 from carom.physics.jit.team import Team

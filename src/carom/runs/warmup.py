@@ -24,7 +24,8 @@ from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.islands import Islands, number_sets
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.near_pairs import largest_values, search_by
+from carom.physics.contact.near_pairs import largest_values
+from carom.physics.contact.pair_list import search_by
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.diagnostics.ledger import with_contacts

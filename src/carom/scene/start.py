@@ -74,6 +74,11 @@ class HalfSpaces:
         return np.arange(len(self))
 
     @property
+    def driven(self) -> BoolArray:
+        """Which ends of contacts have a prescribed motion; numbers are those of `owner`."""
+        return np.zeros(len(self.owner), dtype=np.bool_)
+
+    @property
     def surface(self) -> FloatArray:
         """The array from which kernels find tangent planes, together with `offset`."""
         return self.normal

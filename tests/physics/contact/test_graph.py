@@ -19,7 +19,7 @@ from carom.physics.contact.graph import (
     colour_contacts,
     solve_order_of,
 )
-from carom.physics.contact.near_pairs import KdTree, PairList
+from carom.physics.contact.pair_list import KdTree, PairList
 from carom.physics.jit.team import Team
 from seeds import examples
 from small_scenes import random_bodies, solver_of

@@ -14,7 +14,6 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, OPEN
 from carom.errors import ExperimentError, RecordingError
-from carom.physics.contact.solids import solids_of
 from carom.physics.schedule import every
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
@@ -24,7 +23,6 @@ from carom.recording.read.recorded_contacts import closing_speeds, rows_by_frame
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene
 from carom.recording.read.recording import Recording
 from carom.runs.window import space_of
-from carom.scene.load import Scene
 from carom.scene.start import EntryStates
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -99,7 +97,7 @@ class History:
             n = len(space.mass)
             inverse_mass[:n] = np.divide(1.0, space.mass, out=np.zeros(n), where=~fixed_of(scene))
             begin = replace(begin, velocity=_with_entries(begin.velocity, space.frame().waits, entries))
-        history = cls(begin, inverse_mass, _drives(scene, space))
+        history = cls(begin, inverse_mass, np.append(np.zeros(len(space.state), dtype=np.bool_), space.planes.driven))
         table = recording.fingerprints()
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
         before = space.state.velocity.copy() if entries is None else begin.velocity
@@ -129,14 +127,6 @@ class History:
 def _with_entries(velocity: FloatArray, waits: BoolArray | None, entries: EntryStates) -> FloatArray:
     """Return velocities, (n, 3) m/s; bodies that wait have the velocities with which they will enter."""
     return velocity if waits is None else np.where(waits[:, None], entries.velocity, velocity)
-
-
-def _drives(scene: Scene, space: Space) -> BoolArray:
-    """Return a mask (n + p,) over bodies, planes and walls that marks planes and walls moving on their own."""
-    drives = [*(plane.motion is not None for plane in scene.plane), *[False] * 2 * len(scene.domain.walled)]
-    solids = np.array([*drives, *(wall.motion is not None for wall in scene.wall)], dtype=np.bool_)
-    bodies = np.zeros(len(space.state), dtype=np.bool_)
-    return np.concatenate((bodies, solids[solids_of(scene).owner]))
 
 
 def _impulses(space: Space, touching: Records) -> Records:

@@ -7,7 +7,7 @@ its velocity along N only, and the effective mass of friction does not contain M
     Δu = J·N / M,    K_n = 1/m + 1/M,    K_t = 1/m + ρ²/I
 
 The correction of overlaps moves the wall, too. The loads and the motion of guided walls are an optional part, such as
-the pistons (`piston_motion`). The part returns the `solids.GuidedPlanes` of a scene, whose motion extends
+the pistons (`piston_motion`). The part returns the `solid_records.GuidedPlanes` of a scene, whose motion extends
 `WallTranslation`. Records of bodies have the fields of a guide only in scenes with such a plane; see `moving_walls`.
 
 **Impacts during a drift.** As for bodies, the velocity u of the drift is the velocity in the middle of the step, and

@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray, RecordArray
 from carom.physics.contact.hooks import LedgerAccount, OptionalPart, PresentStep
 from carom.physics.contact.moving_walls import ENTRY, work_of_contacts, work_of_impacts
-from carom.physics.contact.solids import SolidsWithWalls
+from carom.physics.contact.solid_records import SolidsWithWalls
 from carom.physics.contact.translating_walls import WallTranslation, work_at_velocities, work_in_drift
 from carom.state.checkpoint import ContactCheckpoint
 

@@ -28,8 +28,9 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.errors import SceneError
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
+from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.time_of_impact import time_of_impact
-from carom.physics.contact.events.trajectories import both_ways, put
+from carom.physics.contact.events.trajectories import both_ways
 from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.placement.neighbours import Surroundings
 from carom.physics.placement.random_placement import positions

@@ -11,7 +11,7 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.physics.contact.solids import solids_of
+from carom.physics.contact.solid_records import solids_of
 from carom.physics.placement.neighbours import Surroundings, overlapping_pairs, squared_distance
 from carom.physics.placement.random_placement import FULLEST, scattered
 from carom.physics.placement.region import (

@@ -16,7 +16,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.physics.contact.solids import SolidsWithWalls
+from carom.physics.contact.solid_records import SolidsWithWalls
 from carom.scene.load import Scene
 from carom.scene.schema.motion import WallMotion
 from carom.scene.start import HalfSpaces, InitialBodies

@@ -16,14 +16,15 @@ import numpy as np
 from carom.arrays import BoolArray, IntArray, RecordArray, Records
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
+from carom.physics.contact.events.collision import collide
 from carom.physics.contact.events.event_loop import (
     MAX_ELASTIC,
     SLOW,
     SLOW_IN_SPACE,
-    collide,
     predict,
     resolve,
 )
+from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.held_group import hold_group
 from carom.physics.contact.events.nearest_velocities import MOST_CONTACTS, Group, empty_group
 from carom.physics.contact.events.time_of_impact import step_by_impacts
@@ -38,7 +39,6 @@ from carom.physics.contact.events.trajectories import (
     both_ways,
     finish,
     narrow,
-    put,
     straighten,
     write_search_radii,
 )
