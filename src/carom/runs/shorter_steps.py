@@ -245,9 +245,8 @@ class Comparison:
         _, totals = _entries(self.last.energy)
         taken = abs(self.last.energy.ledger.restitution) + abs(self.last.energy.ledger.friction)
         regular = self.compared > REGULAR and not self.shared
-        allowed = (
-            (LEDGER if regular else CHAOTIC) * max(self._kinetic, taken) + self._displaced_before + self._displaced
-        )
+        allowed = (LEDGER if regular else CHAOTIC) * max(self._kinetic, taken) + self._displaced_before
+        allowed += self._displaced
         for k, name in enumerate(self._entries):
             total, error = float(rows[:, k].sum()), float(rows[:, k].std() * math.sqrt(len(rows)))
             self._note(f"ledger: {name}", abs(total), allowed)
@@ -373,9 +372,8 @@ class Comparison:
         """Repeat both runs between two instants, with their contacts; the run begins some steps earlier, for loads."""
         since = next((one for one in reversed(self._past) if one.step <= before.step - LASTS), before)
         states = zip(self._close_spaces(frame.dt), (since, fine_before), strict=True)
-        run, refined = (
-            look_closely(space, one, before.time, frame.time, frame.dt, self._maker.start) for space, one in states
-        )
+        span = before.time, frame.time, frame.dt
+        run, refined = (look_closely(space, one, *span, self._maker.start) for space, one in states)
         return CloseLook(run, refined, self._maker.start)
 
     def _close_spaces(self, dt: float) -> tuple[Space, Space]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-import warnings
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Generic, Self, TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.errors import DroppedRunWarning, RecorderError, RecordingError, status_of
+from carom.errors import RecorderError, RecordingError, status_of
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame_store import FrameStore
@@ -32,7 +31,7 @@ from carom.recording.write.impact_plan import DRAWN_BYTES, TURNED_BYTES
 from carom.recording.write.partial_frames import Lives
 from carom.recording.write.rows import event_rows
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
-from carom.recording.write.whole_file import name_until_whole
+from carom.recording.write.whole_file import new_file
 from carom.state.frame import Frame
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
@@ -197,7 +196,7 @@ class FrameRecorder:
         checkpoints: Collection[int] | None = None,
     ) -> None:
         self.path = Path(path)
-        self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
+        self._file = new_file(self.path)  # an earlier recording is replaced once this one is complete
         self._opened = time.monotonic()
         self.header = header
         self.frames = 0  # number of frames sent so far
@@ -437,19 +436,3 @@ class FrameRecorder:
             raise RecordingError(
                 f"cannot replace {self.path}: {error.strerror}; the new recording is {self._file}"
             ) from error
-
-
-def _new_file(path: Path) -> Path:
-    """Return the file to write for a path: a new file beside an existing recording; a killed run's file is replaced."""
-    try:
-        path = path.resolve()
-        if not path.exists():
-            return path
-        beside = name_until_whole(path)
-        if beside.exists():
-            said = f"{beside.name}, the file of a run that was killed, is replaced by the file of the new run"
-            warnings.warn(said, DroppedRunWarning, stacklevel=3)
-        beside.unlink(missing_ok=True)
-    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
-        raise RecordingError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
-    return beside

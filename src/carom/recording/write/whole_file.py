@@ -11,11 +11,12 @@ import fcntl
 import os
 import secrets
 import shutil
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Self
 
-from carom.errors import ExistsError, RecordingError
+from carom.errors import DroppedRunWarning, ExistsError, RecordingError
 from carom.private_folder import is_fixed, temporary_folder
 
 RECORDINGS = Path("recordings")
@@ -218,3 +219,19 @@ def write_whole(path: Path, text: str) -> None:
     """Write a text; OSError if it cannot be written."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+def new_file(path: Path) -> Path:
+    """Return the file to write for a path: a new file beside an existing recording; a killed run's file is replaced."""
+    try:
+        path = path.resolve()
+        if not path.exists():
+            return path
+        beside = name_until_whole(path)
+        if beside.exists():
+            said = f"{beside.name}, the file of a run that was killed, is replaced by the file of the new run"
+            warnings.warn(said, DroppedRunWarning, stacklevel=3)
+        beside.unlink(missing_ok=True)
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
+        raise RecordingError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}") from error
+    return beside
