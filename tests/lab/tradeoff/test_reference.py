@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -114,6 +115,40 @@ def test_many_bodies_are_refined_until_they_part_and_the_horizon_is_there() -> N
     assert said == ["reference: steps 2 times smaller", "reference: its check, with twice the step"]
     assert 0.0 < reference.horizon < 1.5 and reference.uncertainty.position <= 1e-3
     assert "40 bodies, more than 20" in reference.text
+
+
+@pytest.mark.parametrize(("budget", "fineness", "cost"), [(14.0, 4.0, 10.0), (16.0, 8.0, 16.0)])
+def test_the_reference_of_a_pile_leaves_time_for_the_runs_with_other_seeds(
+    monkeypatch: pytest.MonkeyPatch, budget: float, fineness: float, cost: float
+) -> None:
+    said: list[str] = []
+
+    class Clock:
+        """A run of the scene takes a second, and one with steps k times smaller k seconds."""
+
+        @property
+        def seconds(self) -> float:
+            factors = [re.search(r"(\d+) times smaller", text) for text in said]
+            return sum(
+                (float(found[1]) if found else 2.0 if "its check" in text else 1.0)
+                for found, text in zip(factors, said, strict=True)
+            )
+
+    monkeypatch.setattr("carom.lab.tradeoff.reference.Stopwatch", Clock)
+    pile = scene_of(
+        [],
+        group=[
+            {"count": 4, "radius": 0.05, "region": {"shape": "box", "size": [0.4, 0.4, 0.4], "centre": [0, 0, 0.25]}}
+        ],
+        plane=[{}],
+        contact={"restitution": 0.3},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        time={"duration": 0.5},
+    )
+    monkeypatch.setattr("carom.lab.tradeoff.reference.Reference.is_complete", property(lambda reference: False))
+    reference = make_reference(pile, finest=2.0, budget=budget, tell=said.append)
+    assert (reference.fineness, Clock().seconds) == (fineness, cost)
+    assert sum("seed" in text for text in said) == 4
 
 
 def test_where_nothing_pulls_the_reference_has_times_of_impact() -> None:

@@ -361,7 +361,9 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
     _, of_gravity = _finer_gravity(scene)
-    check_is_coarser = 2.0 * watch.seconds > budget  # with half the step, the check would take too long
+    # s, the runs of a pile with other seeds, which have the steps of the scene
+    seeds = 0.0 if Pile.of(scene) is None else SEEDS * watch.seconds / factor
+    check_is_coarser = 3.0 * watch.seconds + seeds > budget  # a check with half the step would take too long
     while True:
         factor, started = 2.0 * factor, watch.seconds
         if check_is_coarser:
@@ -376,7 +378,12 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
         gained = reference is None or found.samples > GAIN * reference.samples
         reference, coarse = found, fine
         now = watch.seconds
-        if check_is_coarser or found.samples == len(times) or not gained or now + 2.0 * (now - started) > budget:
+        if (
+            check_is_coarser
+            or found.samples == len(times)
+            or not gained
+            or now + 2.0 * (now - started) + seeds > budget
+        ):
             return _with_pile(scene, reference, coarse, threads, tell)
 
 
