@@ -12,7 +12,6 @@ import pytest
 import carom
 from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.errors import SceneError
 from meshes import box, floor, stl, tube
 
 pytestmark = [pytest.mark.needs("trimesh"), pytest.mark.slow]  # kernels for walls are compiled for a minute
@@ -137,12 +136,6 @@ def test_a_recording_replays_without_the_file_on_two_threads(tmp_path: Path) -> 
     path.unlink()
     assert recording.outcome == "completed"
     assert carom.replay(run, threads=2).same
-
-
-def test_walls_that_move_are_refused_beside_a_mesh(tmp_path: Path) -> None:
-    lift = {"rectangle": {"side": [1, 0, 0], "other_side": [0, 1, 0]}, "motion": {"velocity": [0, 0, 1]}}
-    with pytest.raises(SceneError, match="a mesh supports no walls, planes or pistons that move yet"):
-        end_of({"wall": [lift, far(tmp_path)]}, [{"position": [0, 0, 3]}], 0.1)
 
 
 @pytest.mark.nightly

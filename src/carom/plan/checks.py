@@ -61,7 +61,6 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_coarse_tree(scene)
         _refuse_integrator(scene)
         _refuse_thin_walls(scene)
-        _refuse_moving_facets(scene)
         _refuse_laws_without_coefficients(scene)
         _refuse_further_forces(scene)
         _refuse_what_no_error_controls(scene)
@@ -191,18 +190,6 @@ def _refuse_thin_walls(scene: Scene) -> None:
             '(contact.timing = "end-of-step"); set contact.timing = "time-of-impact", with an integrator such '
             "as leapfrog",
             ("contact", "timing"),
-        )
-
-
-def _refuse_moving_facets(scene: Scene) -> None:
-    """Refuse walls that move beside a wall of many facets."""
-    index = next((k for k, wall in enumerate(scene.wall) if shape_called(wall.shape).facets is not None), None)
-    moves = scene.translating or scene.has_piston or any(wall.moves for wall in scene.wall)
-    if index is not None and moves:
-        shape = scene.wall[index].shape
-        raise SceneError(
-            f"a {shape} supports no walls, planes or pistons that move yet; remove their motion, or use other shapes",
-            ("wall", index, shape),
         )
 
 

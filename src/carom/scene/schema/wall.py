@@ -55,5 +55,8 @@ class Wall(Surface):
         if len(self.shapes) > 1:
             raise ValueError(f"has the shapes {' and '.join(self.shapes)}; leave all but one out")
         if self.motion is not None and self.motion.rotation and shape_called(self.shape).axis is None:
-            raise ValueError(f"motion.rotation of a {self.shape}, which has no axis; use a disc, or remove the motion")
+            raise ValueError(
+                f"motion.rotation of a {self.shape}, which has no axis about which its surface moves along itself; use "
+                "a cylinder, cone, disc or sphere, or remove the rotation"
+            )
         return self
