@@ -74,22 +74,27 @@ def first_facet(surface: FloatArray, solid: int) -> int:
 
 
 def _next_facet(surface: Any, solid: int, walk: int, point: Vector, reach: float) -> tuple[int, int]:
-    end, (x, y, z) = int(surface[solid].tree_skip), point
-    node, place = walk // PER_LEAF, walk % PER_LEAF
+    end, node, place = int(surface[solid].tree_skip), walk // PER_LEAF, walk % PER_LEAF
     while node < end:
         box = surface[node]
-        if place == 0:
-            dx = max(0.0, box.tree_low_x - x, x - box.tree_high_x)
-            dy = max(0.0, box.tree_low_y - y, y - box.tree_high_y)
-            dz = max(0.0, box.tree_low_z - z, z - box.tree_high_z)
-            if dx * dx + dy * dy + dz * dz > reach * reach:
-                node = int(box.tree_skip)
-                continue
+        if place == 0 and _square_outside(box, point) > reach * reach:
+            node = int(box.tree_skip)
+            continue
         facet = _in_leaf(box, place)
         if facet >= 0:
             return facet, node * PER_LEAF + place + 1
         node, place = node + 1, 0
     return -1, walk
+
+
+@inner
+def _square_outside(box: Any, point: Vector) -> float:
+    """Return the squared distance of a point from a box in m²; 0 inside."""
+    x, y, z = point
+    dx = max(0.0, box.tree_low_x - x, x - box.tree_high_x)
+    dy = max(0.0, box.tree_low_y - y, y - box.tree_high_y)
+    dz = max(0.0, box.tree_low_z - z, z - box.tree_high_z)
+    return float(dx * dx + dy * dy + dz * dz)
 
 
 @inner
@@ -110,3 +115,24 @@ def next_facet(surface: FloatArray, solid: int, walk: int, point: Vector, reach:
     ``point`` is relative to the wall; ``point`` and ``reach`` are in m. At the end of the walk, the number is -1.
     """
     return -1, walk
+
+
+def _farthest_nearby(surface: Any, solid: int, point: Vector) -> float:
+    node, (x, y, z) = int(surface[solid].tree_first), point
+    while surface[node].tree_facet_0 < 0.0:
+        one, other = node + 1, int(surface[node + 1].tree_skip)
+        node = one if _square_outside(surface[one], point) <= _square_outside(surface[other], point) else other
+    box = surface[node]
+    dx = max(x - box.tree_low_x, box.tree_high_x - x)
+    dy = max(y - box.tree_low_y, box.tree_high_y - y)
+    dz = max(z - box.tree_low_z, box.tree_high_z - z)
+    return float(np.sqrt(dx * dx + dy * dy + dz * dz))
+
+
+@with_field(TREE[0], _farthest_nearby)
+def farthest_nearby(surface: FloatArray, solid: int, point: Vector) -> float:
+    """Return a distance (m) within which a point has a facet: the farthest point of a leaf that is probably near.
+
+    A search for the nearest facet begins with it: without a limit, it would visit most of them.
+    """
+    return np.inf

@@ -121,15 +121,19 @@ class SolidsWithWalls(HalfSpaces):
 
     def heights(self, position: FloatArray) -> FloatArray:
         """Return the distances of points from each solid, (n, p) m; negative behind it."""
-        return self._heights(position, self.records)
+        return self._heights(position, self.records, 0, len(self))
+
+    def height(self, position: FloatArray, solid: int) -> FloatArray:
+        """Return the distances of points from one solid, (n,) m."""
+        return self._heights(position, self.records, solid, 1)[:, 0]
 
     def heights_before(self, position: FloatArray) -> FloatArray:
         """Return the distances at the beginning of the step."""
-        return self._heights(position, self.before)
+        return self._heights(position, self.before, 0, len(self))
 
-    def _heights(self, position: FloatArray, records: Any) -> FloatArray:
-        heights = np.empty((len(position), len(self)))
-        write_heights(np.ascontiguousarray(position), records, self.offset, heights)
+    def _heights(self, position: FloatArray, records: Any, first: int, count: int) -> FloatArray:
+        heights = np.empty((len(position), count))
+        write_heights(np.ascontiguousarray(position), records, first, heights)
         return heights
 
     def advanced(self, start: FloatArray, crossed: BoolArray) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import ends_of
-from carom.physics.contact.facets import TREE, consists_of_facets, first_facet, next_facet
+from carom.physics.contact.facets import TREE, consists_of_facets, farthest_nearby, first_facet, next_facet
 from carom.physics.contact.records import ContactStateRecord
 from carom.physics.contact.translating_walls import (
     in_frame_of_wall,
@@ -192,26 +192,28 @@ def bias_along_wall(
 
 
 @kernel
-def write_heights(position: FloatArray, surface: FloatArray, offset: FloatArray, heights: FloatArray) -> None:
-    """Write the distances of points from each solid, (n, p) m."""
+def write_heights(position: FloatArray, surface: FloatArray, first: int, heights: FloatArray) -> None:
+    """Write the distances of points from some solids, (n, k) m, given the number of the first solid."""
     for i in range(len(position)):
         x, y, z = vector(position, i)
-        for solid in range(len(offset)):
-            if consists_of_facets(surface, solid):
-                heights[i, solid] = _distance_of_facets(surface, solid, (x, y, z))
+        for k in range(heights.shape[1]):
+            if consists_of_facets(surface, first + k):
+                heights[i, k] = _distance_of_facets(surface, first + k, (x, y, z))
             else:
-                heights[i, solid] = nearest_point(surface, solid, x, y, z)[3]
+                heights[i, k] = nearest_point(surface, first + k, x, y, z)[3]
 
 
 @inner
 def _distance_of_facets(surface: FloatArray, solid: int, point: Vector) -> float:
     """Return the distance of a point from the nearest facet of a wall, in m."""
     (x, y, z), (dx, dy, dz), least = point, shift_of(surface, solid), np.inf
-    facet, walk = next_facet(surface, solid, first_facet(surface, solid), (x - dx, y - dy, z - dz), least)
+    place = x - dx, y - dy, z - dz
+    reach = farthest_nearby(surface, solid, place)
+    facet, walk = next_facet(surface, solid, first_facet(surface, solid), place, reach)
     while facet >= 0:
         if touches_here(surface, facet, x, y, z):
             least = min(least, nearest_point(surface, facet, x, y, z)[3])
-        facet, walk = next_facet(surface, solid, walk, (x - dx, y - dy, z - dz), least)
+        facet, walk = next_facet(surface, solid, walk, place, min(reach, least))
     return least
 
 

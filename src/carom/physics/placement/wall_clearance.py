@@ -56,7 +56,7 @@ def refuse_crossing_walls(scene: Scene, start: InitialBodies, solids: HalfSpaces
             def gaps(time: float, points: FloatArray = points, one: int = one, other: int = other) -> FloatArray:
                 """Return the distance of each point from the other wall, in m."""
                 moved = points + _between(solids, one, other, time) + _displacement(solids.motions[other], 0.0)
-                return np.asarray(solids.heights(moved)[:, other])
+                return solids.height(moved, other)
 
             if gaps(0.0).max() < -touching:
                 raise SceneError(
