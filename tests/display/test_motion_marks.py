@@ -15,7 +15,8 @@ from carom.recording.schema.header import Header
 from carom.recording.write.static_entities import _rims
 from carom.runs.run import header_of
 from carom.scene.load import Scene
-from carom.scene.wall_shapes import SIDES, shape_called
+from carom.scene.wall_shapes import SIDES, Mesh, shape_called
+from meshes import box, tube
 
 BALL = {"body": [{"position": [0.0, 0.0, 1.0], "radius": 0.1}]}
 EYE = View(np.array([0.0, 0.0, 1.0]), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
@@ -77,3 +78,9 @@ def test_a_wall_has_lines_at_its_borders(wall: dict[str, Any], lines: int) -> No
     mesh = shape_called(found.shape).mesh(found.section, np.zeros(3), 5.0)
     assert len(_rims(mesh)) == lines
     assert (len(mesh.lines) > 0) == (found.shape == "sphere"), "only a curved profile has lines inside"
+
+
+@pytest.mark.parametrize(("triangles", "lines"), [(box(0.5, 2), 24), (tube(1.0, 2.0, 8), 24), (tube(1.0, 2.0, 24), 48)])
+def test_a_mesh_has_lines_at_its_edges_but_not_where_it_is_flat_or_round(triangles: FloatArray, lines: int) -> None:
+    corners, number = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
+    assert len(_rims(Mesh(corners, number.reshape(-1, 3)))) == lines

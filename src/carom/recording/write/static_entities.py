@@ -31,7 +31,8 @@ _THICKNESS = {  # radii of arrows, in median body radii; of two parallel arrows,
 }
 _EDGE_POINTS = 2.5  # width of a contact's line, in screen points
 _TRANSLUCENT = 0x8A93A624  # colour of walls in front of bodies
-_POINT = 1e-9  # fraction of a wall's extent; a shorter border is a point, such as a pole
+_POINT = 1e-9  # fraction of a wall's extent; corners that are nearer to each other are one, such as a pole
+_BENT = 0.35  # 2 sin ½β, β = 20°: edges that bend less are not drawn; a surface of revolution bends by 4° at each
 _SECTORS, _SHADE = 16, 0x505050FF  # number of sectors and colour of shaded ones, on walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # rings from pole to pole; enough for one sphere among thousands to look round
@@ -128,16 +129,19 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def _rims(mesh: Mesh) -> FloatArray:
-    """Return the lines at the borders of a surface, (k, 2, 3) m; they make a translucent sheet look like a cup."""
-    a, b, c = mesh.triangles.T
-    edges, triangles = np.unique(
-        np.sort(np.concatenate([np.stack(ends, axis=1) for ends in ((a, b), (b, c), (c, a))]), axis=1),
-        axis=0,
-        return_counts=True,
-    )
-    ends = mesh.corners[edges[triangles == 1]]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return np.asarray(ends[lengths > _POINT * float(np.ptp(mesh.corners, axis=0).max())])
+    """Return the lines at borders and edges of a surface, (k, 2, 3) m; they make a cup of a translucent sheet."""
+    grain = _POINT * float(np.ptp(mesh.corners, axis=0).max())
+    _, first, number = np.unique(np.round(mesh.corners / grain), axis=0, return_index=True, return_inverse=True)
+    corners, triangles = mesh.corners[first], number.reshape(-1)[mesh.triangles]
+    triangles = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
+    begin, end, apex = (np.roll(triangles, -k, axis=1).reshape(-1) for k in range(3))
+    along, inward = corners[end] - corners[begin], corners[apex] - corners[begin]
+    inward -= ((inward * along).sum(axis=1) / (along * along).sum(axis=1))[:, None] * along
+    inward /= np.maximum(np.linalg.norm(inward, axis=1), grain)[:, None]
+    edges, edge = np.unique(np.minimum(begin, end) * len(corners) + np.maximum(begin, end), return_inverse=True)
+    bend = np.stack([np.bincount(edge.reshape(-1), inward[:, k]) for k in range(3)], axis=1)  # 0 where it is flat
+    drawn = edges[np.linalg.norm(bend, axis=1) > _BENT]
+    return np.asarray(corners[np.stack((drawn // len(corners), drawn % len(corners)), axis=1)])
 
 
 def _wall(path: str, header: Header, mesh: Mesh, origin: FloatArray) -> Static:
