@@ -67,7 +67,7 @@ def test_pictures_of_the_gallery_have_all_bodies_inside_no_empty_half_and_equal_
 
 @pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.needs("matplotlib", "mujoco")
+@pytest.mark.needs("matplotlib", "mujoco", "trimesh")
 def test_the_commands_of_the_other_pictures_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(picture, "render", lambda *_, **__: picture.Picture(0.0, ""))  # others measure such views
     done = set[str]()

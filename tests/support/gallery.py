@@ -24,12 +24,12 @@ PAGE = Path(__file__).parents[2] / "docs" / "gallery.md"
 FOLDER = PAGE.parent / "gallery"
 
 _PICTURE = re.compile(r"!\[[^]]*\]\(gallery/([a-z-]+)\.png\)")
-_BLOCK = re.compile(r"```(sh|toml)\n(.*?)```", re.DOTALL)
+_BLOCK = re.compile(r"```(sh|toml|obj)\n(.*?)```", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A picture of the page: the commands that make NAME.png, and the scene files that they read."""
+    """A picture of the page: the commands that make NAME.png, and the scenes and meshes that they read."""
 
     name: str
     commands: tuple[str, ...]
@@ -47,15 +47,15 @@ FIRST = Entry(
 
 
 def entries() -> Iterator[Entry]:
-    """Yield the pictures of the page; a scene file begins with a comment that holds its name."""
+    """Yield the pictures of the page; a file begins with a comment that holds its name."""
     for section in PAGE.read_text(encoding="utf-8").split("\n## ")[1:]:
         picture = _PICTURE.search(section)
         if picture is None:
             continue
         blocks = _BLOCK.findall(section)
         lines = [line for kind, text in blocks if kind == "sh" for line in text.splitlines()]
-        scenes = {text.splitlines()[0].removeprefix("# "): text for kind, text in blocks if kind == "toml"}
-        yield Entry(picture[1], tuple(line for line in lines if line.startswith("carom ")), scenes)
+        files = {text.splitlines()[0].removeprefix("# "): text for kind, text in blocks if kind != "sh"}
+        yield Entry(picture[1], tuple(line for line in lines if line.startswith("carom ")), files)
 
 
 def make(entry: Entry, folder: Path, done: set[str]) -> Path:
