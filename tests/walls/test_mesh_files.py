@@ -78,15 +78,19 @@ def _bad(folder: Path) -> dict[str, tuple[str, str]]:
     (folder / "words.ply").write_text("not a mesh\n")
     (folder / "scene.step").write_text("")
     stl(folder / "thin.stl", np.array([[[0, 0, 0], [1, 0, 0], [0.5, 0, 0]], [[0, 0, 0], [1, 0, 0], [0, 1, 0]]]))
+    stl(folder / "twice.stl", np.concatenate((floor(0.5, 1), floor(0.5, 1)[:1, ::-1])))
+    (folder / "folder.stl").mkdir()
     fan = [[[0, 0, 0], [0, 0, 1], [np.cos(a), np.sin(a), 0]] for a in (0.0, 1.0, 2.0)]
     stl(folder / "fan.stl", np.array(fan))
     return {
         "missing": ("missing.stl", "no such file"),
+        "folder": ("folder.stl", "it is a folder"),
         "no triangles": ("none.stl", "no triangles in it"),
         "no mesh": ("words.stl", "no triangles in it"),
         "no ply": ("words.ply", "not a mesh in PLY"),
         "another format": ("scene.step", "not a mesh in STL, OBJ or PLY"),
         "degenerate": ("thin.stl", "1 of 2 triangles have no area"),
+        "there twice": ("twice.stl", "1 of 3 triangles are there twice"),
         "not manifold": ("fan.stl", "not manifold: 3 triangles share the edge about [0.0, 0.0, 0.5]"),
     }
 

@@ -30,7 +30,7 @@ def read(path: Path, called: str) -> str:
     except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
         raise SceneError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if size is None:
-        raise SceneError(f"{path}: cannot be read: no such file")
+        raise SceneError(f"{path}: cannot be read: {'it is a folder' if path.is_dir() else 'no such file'}")
     if size > LARGEST_FILE:
         raise SceneError(f"{called}: {size} bytes are too many; at most {LARGEST_FILE}")
     try:
@@ -62,13 +62,16 @@ def _problem(corners: FloatArray, triangles: IntArray) -> str:
     points = corners[triangles]
     sides = np.roll(points, -1, axis=1) - points
     longest = np.sqrt((sides * sides).sum(axis=2)).max(axis=1)
-    twice = np.cross(sides[:, 0], sides[:, 1])
-    thin = np.flatnonzero(~(np.sqrt((twice * twice).sum(axis=1)) > THINNEST * longest * longest))
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    thin = np.flatnonzero(~(np.sqrt((normal * normal).sum(axis=1)) > THINNEST * longest * longest))
     if len(thin):
         return (
             f"{len(thin)} of {len(triangles)} triangles have no area, the first at {points[thin[0], 0].tolist()}; "
             "remove degenerate faces, for example with MeshLab"
         )
+    twice = len(triangles) - len(np.unique(np.sort(triangles, axis=1), axis=0))
+    if twice:
+        return f"{twice} of {len(triangles)} triangles are there twice; remove duplicates, for example with MeshLab"
     ends = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
     edges, count = np.unique(ends, axis=0, return_counts=True)
     if count.max() > 2:
