@@ -28,7 +28,7 @@ def scene(**keys: Any) -> Scene:
 
 def triangles_of(loaded: Scene) -> FloatArray:
     """Return the triangles of the wall, (f, 3, 3) m."""
-    corners, triangles = shape_called("mesh").mesh(loaded.wall[0].section, np.zeros(3), 1.0)
+    corners, triangles, _ = shape_called("mesh").mesh(loaded.wall[0].section, np.zeros(3), 1.0)
     return corners[triangles]
 
 

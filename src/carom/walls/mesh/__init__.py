@@ -60,7 +60,7 @@ def _placed(section: MeshWall) -> Mesh:
 
 def facets(section: MeshWall) -> Facets:
     """Return the triangles as facets."""
-    corners, triangles = _placed(section)
+    corners, triangles, _ = _placed(section)
     return Facets(corners[triangles], fields_of(corners, triangles))
 
 
@@ -71,7 +71,7 @@ def mesh(section: MeshWall, centre: FloatArray, reach: float) -> Mesh:
 
 def doubts(section: MeshWall, radius: float, units: UnitSystem) -> list[str]:
     """Say if a mesh is probably in another unit, or inside out; ``radius`` is the median radius of the bodies in m."""
-    corners, triangles = _placed(section)
+    corners, triangles, _ = _placed(section)
     size, found = float(np.ptp(corners, axis=0).max()), list[str]()
     if not SMALLEST * radius <= size <= LARGEST * radius:
         found.append(
