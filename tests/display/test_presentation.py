@@ -9,7 +9,8 @@ import pytest
 
 import carom
 from carom.contact_table import CONTACT_ROW
-from carom.display import close_up, letters, request
+from carom.display import close_up, close_up_camera, letters, request
+from carom.display.close_up_arrows import BEFORE, IMPULSE, NORMAL, SPIN, VELOCITY
 from carom.display.presentation import Presentation, _steps, asked, presentation
 from carom.display.request import Request, pair_of_step
 from carom.display.supplement import Trails
@@ -66,7 +67,7 @@ def test_an_impact_at_the_beginning_of_a_step_is_shown_in_the_step_that_it_belon
     assert recording.impacts()["time"].to_pylist() == [0.0], "they touch from the start"
     shown = asked(recording, Request(event="impact:1"))
     assert shown.time == 0.0 and not shown.missing, "where they touch, not at the end of the step"
-    assert values_of(close_up.NORMAL, "vectors", list(shown.supplement.rows)), "of the contact"
+    assert values_of(NORMAL, "vectors", list(shown.supplement.rows)), "of the contact"
 
 
 def test_a_window_onto_a_moment_has_every_step_up_to_the_next_frame(bounce: Recording) -> None:
@@ -146,7 +147,7 @@ def test_a_floor_is_drawn_under_the_bodies_that_are_shown(tmp_path: Path) -> Non
 def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounce: Recording) -> None:
     shown = presentation(bounce, bounce.moment())
     step = bounce.closing["moments.impact.step"]
-    for path in (close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, close_up.SPIN, close_up.LABELS):
+    for path in (close_up.EDGE, NORMAL, IMPULSE, SPIN, close_up.LABELS):
         rows = rows_of(path, list(shown.supplement.rows))
         times = np.concatenate([own.index.times for own in rows])
         steps = np.concatenate([own.steps for own in rows])
@@ -188,13 +189,20 @@ def test_the_close_up_of_an_impact_shows_the_instant_at_which_the_balls_touch(
     moment = 0.31 - np.sqrt(3.0) * r
     assert shown.time == pytest.approx(moment, abs=1e-12)
     rows = list(shown.supplement.rows)
-    for path in (close_up.BODIES, close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, paths.BODIES, paths.CONTACTS):
+    for path in (
+        close_up.BODIES,
+        close_up.EDGE,
+        NORMAL,
+        IMPULSE,
+        paths.BODIES,
+        paths.CONTACTS,
+    ):
         (own,) = within_a_step(path, rows)
         assert own.index.times[0] == shown.time, path
     here = within_a_step(close_up.BODIES, rows)
     left, right = np.array(values_of(close_up.BODIES, "centers", here)[0])
     assert np.linalg.norm(right - left) == pytest.approx(2.0 * r, rel=1e-6), "they touch; single precision"
-    normal = np.array(values_of(close_up.NORMAL, "vectors", within_a_step(close_up.NORMAL, rows))[0][0])
+    normal = np.array(values_of(NORMAL, "vectors", within_a_step(NORMAL, rows))[0][0])
     along = normal / np.linalg.norm(normal)
     np.testing.assert_allclose(along, (right - left) / (2.0 * r), atol=1e-6)
     np.testing.assert_allclose(along, [np.sqrt(0.75), 0.5, 0.0], atol=1e-6)
@@ -233,8 +241,7 @@ def test_the_close_up_of_an_impact_has_arrows_of_the_velocities_before_and_after
     shown = asked(glancing, Request(event="impact:1"))
     rows = list(shown.supplement.rows)
     (before,), (one, other) = (
-        np.array(values_of(path, "vectors", within_a_step(path, rows))[0])
-        for path in (close_up.BEFORE, close_up.VELOCITY)
+        np.array(values_of(path, "vectors", within_a_step(path, rows))[0]) for path in (BEFORE, VELOCITY)
     )
     assert before[0] > 0.0 and abs(before[1]) + abs(before[2]) < 1e-7 * before[0], "only the first ball moves, along x"
     np.testing.assert_allclose(one + other, before, atol=1e-6 * before[0])  # equal masses share the momentum
@@ -252,11 +259,13 @@ def test_an_impact_at_the_end_of_a_step_has_speeds_before_and_after_too(tmp_path
 
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, -0.8, 0.0]])
 def test_a_close_up_is_seen_from_where_no_arrow_points_at_the_eye(normal: list[float]) -> None:
-    contact = close_up.Contact(np.zeros(3), np.array(normal), 1.0, np.array(normal), None, np.zeros((2, 3)))
-    usual = close_up._direction(np.zeros((1, 3)), contact, np.zeros((0, 3)))
+    across = np.array(normal)
+    usual = close_up_camera.direction(np.zeros((1, 3)), across, np.zeros((0, 3)))
     assert usual is not None
-    to_eye = close_up._direction(np.zeros((1, 3)), contact, usual[None])
-    assert to_eye is not None and abs(to_eye @ usual) < np.sqrt(1.0 - close_up._SEEN**2), "at least half of it is seen"
+    to_eye = close_up_camera.direction(np.zeros((1, 3)), across, usual[None])
+    assert to_eye is not None and abs(to_eye @ usual) < np.sqrt(1.0 - close_up_camera.SEEN**2), (
+        "at least half of it is seen"
+    )
 
 
 def legend_texts(shown: Presentation) -> list[str]:
@@ -319,7 +328,7 @@ def test_a_time_that_is_asked_for_is_shown_and_the_impact_before_it_stays_where_
     shown = asked(glancing, Request(at=0.3))
     assert shown.time == pytest.approx(0.3, abs=1e-12)
     rows = list(shown.supplement.rows)
-    assert not within_a_step(paths.BODIES, rows) and len(within_a_step(close_up.NORMAL, rows)) == 1
+    assert not within_a_step(paths.BODIES, rows) and len(within_a_step(NORMAL, rows)) == 1
     assert asked(glancing, Request(at=0.3), only="close-up").time < 0.27, "a close-up alone is of the impact"
 
 
@@ -359,8 +368,8 @@ def test_both_balls_of_a_close_up_look_equal_and_the_arrows_of_impulses_end_insi
     balls = np.array(values_of(close_up.BODIES, "centers", within_a_step(close_up.BODIES, rows))[0])
     apparent = lens.view.radius_on_screen(balls, header_of_recording(bounce).radius)
     assert apparent.max() <= 1.05 * apparent.min() and lens.view.holds(balls, np.zeros(2), 1.6).all()
-    drawn = within_a_step(close_up.IMPULSE, rows)
-    vectors, origins = (np.array(values_of(close_up.IMPULSE, name, drawn)[0]) for name in ("vectors", "origins"))
+    drawn = within_a_step(IMPULSE, rows)
+    vectors, origins = (np.array(values_of(IMPULSE, name, drawn)[0]) for name in ("vectors", "origins"))
     assert np.all(np.abs(lens.view.on_screen(origins + vectors)) <= [1.6, 1.0])
 
 
@@ -391,7 +400,7 @@ def test_the_close_up_shows_two_bodies_that_meet_through_a_periodic_border_side_
         assert np.abs(np.subtract(*bodies)).max() <= 2.0, "half the box"
     edge = values_of(close_up.EDGE, "strips", rows)[0][0]
     assert np.linalg.norm(np.subtract(*edge)) == pytest.approx(0.6, abs=0.01), "two radii"
-    normal, impulse = (values_of(path, "origins", rows)[0][0] for path in (close_up.NORMAL, close_up.IMPULSE))
+    normal, impulse = (values_of(path, "origins", rows)[0][0] for path in (NORMAL, IMPULSE))
     assert np.linalg.norm(np.subtract(normal, impulse)) == pytest.approx(0.3, abs=0.01), "on the first body"
 
 

@@ -151,10 +151,10 @@ def test_a_close_up_of_a_recorded_contact_has_its_force(recording: Recording) ->
     header = header_of_recording(recording)
     colours = BodyColours(np.zeros(1, np.int64), np.zeros(1), fixed_colours(recording)[None])
     close = close_up(recording, header, shown_step(recording, STEPS * DT), Pair(0, 1), Area(400.0, 400.0), colours)
-    assert close.contact is not None and close.contact.force is not None
+    assert close.pair.contact is not None and close.pair.contact.force is not None
     (row,) = [row for row in recording.contacts(STEPS * DT).to_pylist() if (row["i"], row["j"]) == (0, 1)]
-    assert close.contact.force == pytest.approx(np.hypot(row["normal_force"], row["tangential_force"]), rel=1e-6)
-    assert close.contact.point + recording.origin == pytest.approx([row["x"], row["y"], row["z"]], abs=1e-6)
+    assert close.pair.contact.force == pytest.approx(np.hypot(row["normal_force"], row["tangential_force"]), rel=1e-6)
+    assert close.pair.contact.point + recording.origin == pytest.approx([row["x"], row["y"], row["z"]], abs=1e-6)
 
 
 class Balls:

@@ -231,7 +231,7 @@ def presentation(
     contents |= LegendContents(impacts=len(marks) > 0, trails=has_trails)
     span = whole_span(recording)
     in_groups = canvas.rendered and only == ALL
-    field, fastest = uniform_field(recording, header), 0.0 if close is None or in_groups else close.spin_of_scale
+    field, fastest = uniform_field(recording, header), 0.0 if close is None or in_groups else close.pair.spin_of_scale
     area = bodies_area(laid_out, canvas, only, close is not None)
     plain = staging.camera.view(area.aspect, narrow=area.rendered)
     named = names_that_fit(header, step.position, plain, area)
@@ -250,12 +250,12 @@ def presentation(
     )
     touching = _few_touching(recording, header, paused)
     if in_groups:
-        more = {} if close is None else {f"Close-up: {close.names}": close.lines(canvas.theme)}
+        more = {} if close is None else {f"Close-up: {close.names}": close.pair.lines()}
         name = graph_name(header)
         words = words.grouped(f"{name}, only bodies that touch" if touching else name, more)
         words = replace(words, entries=[*words.entries, *_strip_lines(recording, paused.time)])
     elif close is not None:
-        words = replace(words, entries=[*words.entries, *close.speed_lines()])
+        words = replace(words, entries=[*words.entries, *close.pair.speed_lines()])
     words = words.titled(header.title, written) if canvas.rendered else words
     added = Additions(
         *(close, has_trails, recoloured, by_stage, both_arrows, plots, words),
