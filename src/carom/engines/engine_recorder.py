@@ -29,7 +29,7 @@ from carom.engines.source import (
     State,
     StateMemory,
     SteppedSource,
-    refuse_wrong_arrays,
+    refuse_invalid_state,
     setup_of,
     text_from,
     time_of,
@@ -334,7 +334,7 @@ class Recorder:
                 f"`state` of {type(self._source).__name__} returned {type(first).__name__}; return a carom.record.State"
             )
         setup = setup_of(self._model, first)
-        refuse_wrong_arrays(setup, first)
+        refuse_invalid_state(setup, first)
         self._setup = setup
         self._ids = None if first.ids is None else ids_of(setup.engine, first.ids, len(setup))
         points = np.flatnonzero(~setup.touches & ~setup.fixed)

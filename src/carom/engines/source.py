@@ -229,7 +229,7 @@ def time_of(state: State) -> float:
         raise RecordingError(f"the time of the state is {state.time!r}; it must be a number") from None
 
 
-def refuse_wrong_arrays(setup: Setup, first: State) -> None:
+def refuse_invalid_state(setup: Setup, first: State) -> None:
     """Refuse arrays of wrong shapes, and quaternions whose length is not 1, up to rounding in single precision."""
     engine, n = setup.engine, len(setup)
     array_of(engine, "time", time_of(first), ())
