@@ -215,7 +215,7 @@ def test_a_description_in_a_refusal_is_in_the_units_of_the_scene(folder: Path) -
         said = carom("run", f"{name}.toml", "--set", "time.fixed_dt=-1", cwd=folder).stderr
         assert f"(fixed_dt: {unit}, constant step instead of the adaptive one)" in said
     density = carom("run", "cm.toml", "--set", "body.0.density=-1", cwd=folder).stderr
-    assert "kg/m³, 1000 unless" in density  # a default is in SI
+    assert "kg/m³, density; 1000 unless" in density  # a default is in SI
 
 
 @pytest.mark.parametrize(

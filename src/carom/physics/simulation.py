@@ -239,7 +239,13 @@ class Simulation:
         self._stopping = False
 
     def approach(self, time: float, most: int, *, ends_there: bool) -> None:
-        """Take one step, or ``most`` steps in one call, but not beyond a time (s), without frames and checks."""
+        """Take one step, or ``most`` steps in one call, but not beyond a time (s), without frames and checks.
+
+        While contacts last, a call takes one step. Whether a kernel takes several steps depends on what this process
+        has compiled, and the work of a look-ahead, which counts calls, must not depend on that.
+        """
+        if self._contact and not self._contact.is_quiet:
+            most = 1
         end = time if ends_there else self.scene.time.duration
         self._advance(Goal(end, at(()) if ends_there else Pause(time), at(()), most, shows_end=False))
 

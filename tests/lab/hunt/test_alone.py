@@ -41,7 +41,7 @@ def test_a_scene_that_another_one_changes_is_reported_with_it(budget: Budget, mo
     monkeypatch.setattr(alone, "in_new_processes", lambda tasks, budget: (ended[tuple(task)] for task in tasks))
     assert difference(1, 9, Ending(5, 10), [2, 4, 7], budget) == ""
     assert "scene 4" in difference(1, 9, Ending(5, 11), [2, 4, 7], budget)
-    assert "no other scene alone" in difference(1, 9, Ending(5, 12), [2, 7], budget)
+    assert "not after any single other scene" in difference(1, 9, Ending(5, 12), [2, 7], budget)
 
 
 @pytest.mark.slow
