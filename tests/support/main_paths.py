@@ -66,7 +66,8 @@ FIRST = "run"  # the others read its recording
 
 PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only
 OF_WALLS = {  # compiled for scenes with a [[wall]], as the kernels of a contact law are for scenes with that law
-    *("solids.write_heights", "solids.add_arc_speeds", "solids._distance_of_facets", "facets._in_leaf"),
+    *("solids.write_heights", "solids.add_arc_speeds", "solids._distance_of_facets"),
+    *("facets._in_leaf", "facets._square_outside"),
     *(f"wall_impacts.{name}" for name in ("_time_to_wall", "_until_path", "_predict_with_solid", "_reach")),
     *(f"facet.{name}" for name in ("_beyond", "_corner", "_insides", "_is_at_corner", "_is_within")),
     *(f"facet.{name}" for name in ("_kind_of_corner", "_kind_of_edge", "_on_border")),
