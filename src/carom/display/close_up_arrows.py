@@ -166,7 +166,8 @@ class ShownPair:
         normal, impulse, spin, *_ = arrows
         entries.append(LegendLine(f"→ {normal.labels[0]}; — line of centres", palette.VERMILION))
         if impulse.labels:
-            text = f"→ impulse on each body, {impulse.labels[0]}"
+            what = "impulse" if self.contact.force is None else "force"
+            text = f"→ {what} on each body, {impulse.labels[0]}"
             entries.append(LegendLine(text, palette.ARROWS[paths.FORCE_NORMAL]))
         if spin.labels:
             fastest = units.text(self.spin_of_scale, dimension.ANGULAR_VELOCITY, ".3g")

@@ -187,7 +187,10 @@ def presentation(
     paused = instant if instant is not None and within_step else step
     written = ""
     if canvas.rendered:
-        written = f"t = {header.units.text(paused.time, TIME, '.9g')}{_what_happens(recording, step, paused, chosen)}"
+        written = f"t = {header.units.text(paused.time, TIME, '.9g')}"
+        if paused.time < step.time:  # events and plots have the time of its end
+            written += f", in the step to {header.units.text(step.time, TIME, '.6g')}"
+        written += _what_happens(recording, step, paused, chosen)
     close = None
     if chosen is not None:
         close_area = close_up_area(header, canvas, only)
@@ -306,7 +309,7 @@ def _what_happens(recording: Recording, step: ShownStep, paused: ShownStep, pair
         ends = [recording.bodies.name[body] or names.of(body) for body in pair.bodies]
         ends += [] if pair.plane is None else [names.of(len(names.bodies) + pair.plane)]
         met = " meets ".join(ends) if len(ends) == 2 else f"impact of {ends[0]}"
-        return f": {met}{', the hardest impact of the run' if hardest else ''}"
+        return f": {met}{' with the most energy of the run' if hardest else ''}"
     if paused.frame is None:
         return ""
     touching, rows = len(paused.frame.contacts.pairs), paused.frame.contact_rows
