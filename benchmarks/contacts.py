@@ -22,7 +22,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.graph import colour_contacts, solve_order_of
 from carom.physics.contact.law import IMPULSES, materials_of
-from carom.physics.contact.near_pairs import KdTree
+from carom.physics.contact.pair_list import KdTree
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.team import Team
 from carom.scene.matter import PairCoefficients

@@ -82,7 +82,8 @@ def spaces(n: int, count: int) -> tuple[dict[str, Space], dict[str, float]]:
         file = Path(folder) / "hopper.ply"
         triangles(count, height).export(file)
         cone = {"radius": OUTLET, "end_radius": OUTLET + height / SLOPE, "height": height}
-        for name, wall in {"cone": {"cone": cone}, "mesh": {"mesh": {"file": str(file)}}}.items():
+        walls: dict[str, dict[str, Any]] = {"cone": {"cone": cone}, "mesh": {"mesh": {"file": str(file)}}}
+        for name, wall in walls.items():
             began = time.process_time()
             of[name] = space_of(position, wall)
             spent[name] = time.process_time() - began
