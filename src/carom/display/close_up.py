@@ -128,9 +128,9 @@ class CloseUp:
         ends = np.unique(pairs[np.isin(pairs, self.bodies).any(axis=1)])
         return [*{*self.bodies, *ends[ends < self.header.bodies].tolist()}]
 
-    def statics(self, header: Header) -> Iterable[Static]:
+    def statics(self) -> Iterable[Static]:
         """Yield sizes and colours of the entities."""
-        radius = single(header.radius[list(self.bodies)])
+        radius = single(self.pair.radius)
         small = float(radius.min())
         yield (
             BODIES,
@@ -159,8 +159,8 @@ class CloseUp:
         drawn = self.legend.inside(self.eye, self.area, self.corner, self.poses)
         if not self.legend.entries:
             return drawn
-        radius = self.header.radius[list(self.bodies)]
-        axes = axes_and_field(self.header.units, self.eye, self.area, None, self.pair.position, radius, self.corner)
+        pair = self.pair
+        axes = axes_and_field(pair.units, self.eye, self.area, None, pair.position, pair.radius, self.corner)
         statics = [*drawn.statics, *axes]
         if self.legend.clock is None:
             return DrawnLabels(statics, drawn.rows)
@@ -173,7 +173,7 @@ class CloseUp:
             if isinstance(shown, LensView) and self.legend.clock is not None:
                 yield Rows(shown.lens.path, Index(NO_STEPS, self.legend.clock.times), shown.lens.poses(self.poses))
 
-    def rows(self, header: Header) -> Iterable[Rows]:
+    def rows(self) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
         colours, instant = self.pair.colours, self.instant
         yield from self._legend().rows
@@ -250,10 +250,6 @@ class CloseUp:
         places = single(apart(wanted, texts, self.eye, self.area))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
-    def _explained(self, clock: MovieClock | str, theme: str) -> Legend:
-        """Return the legend of the view alone."""
-        return Legend(self.pair.lines(), theme).titled(self.header.title, clock)
-
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
         """Yield a row at the step or at the instant, and then an empty row, which clears it."""
         if self.instant is not None:
@@ -309,6 +305,7 @@ def close_up(
     bodies = pair.bodies
     places = [recording.shown.index(body) for body in bodies]
     called = names_of(recording)
+    sizes = header.radius[places]
     short = [recording.bodies.name[body] or called.of(body) for body in bodies]  # titles and labels are short
     names = " and ".join(short)
     if pair.plane is not None:
@@ -318,7 +315,7 @@ def close_up(
         contact = contact_of(header, step.frame, pair, at_end, recording.origin)
         if contact is not None:  # the bodies may still touch
             other = contact.point if len(at_end) == 1 else at_end[1]
-            near = (1.0 + _TOUCHING) * float(header.radius[places].sum())
+            near = (1.0 + _TOUCHING) * float(sizes.sum())
             instant = None if float(np.linalg.norm(other - at_end[0])) <= near else instant
     drawn = instant or step
     frame, spin, spin_before = drawn.frame, None, None
@@ -340,25 +337,25 @@ def close_up(
         times = times_of(recording, found.steps)
     seen, ends = position if pauses_within else at_end, None
     if contact is not None and np.any(contact.impulse):
-        reach = impulse_radii(header.radius[places])
+        reach = impulse_radii(sizes)
         arrows = reach[reach > 0.0, None] * contact.impulse / np.linalg.norm(contact.impulse)
         ends = np.concatenate([seen[reach > 0.0] - arrows, seen[reach > 0.0] + arrows])
     if contact is not None:
-        tip = contact.point + NORMAL_LENGTH * header.radius[places].min() * contact.normal
+        tip = contact.point + NORMAL_LENGTH * sizes.min() * contact.normal
         ends = tip[None] if ends is None else np.concatenate([ends, tip[None]])
     normal = None if contact is None else contact.normal
     turning = [each for each in (spin, spin_before) if each is not None]
     to_eye = direction(seen, normal, lengths(velocity), lengths(np.array(turning) if turning else None))
-    aside = beside(fit(header.radius[places], seen, to_eye).view(area.aspect), normal, spin)
+    aside = beside(fit(sizes, seen, to_eye).view(area.aspect), normal, spin)
     if velocity is not None:
         longest = float(np.linalg.norm(velocity, axis=2).max()) or 1.0
         # bodies that are not shown whole have no arrows of velocities
-        whole = shown_whole(header.radius[places])
-        half = 0.5 * VELOCITY_LENGTH * header.radius[places].min() * velocity[-1][whole] / longest
-        off = seen[whole] + (OFF[1] + _THICK) * header.radius[places][whole, None] * aside
+        whole = shown_whole(sizes)
+        half = 0.5 * VELOCITY_LENGTH * sizes.min() * velocity[-1][whole] / longest
+        off = seen[whole] + (OFF[1] + _THICK) * sizes[whole, None] * aside
         ends = np.concatenate([np.zeros((0, 3)) if ends is None else ends, off - half, off + half])
     colours = _told_apart(colours, area.theme)
-    sizes, around = header.radius[places], ends if ends is not None else np.zeros((0, 3))
+    around = ends if ends is not None else np.zeros((0, 3))
     shown, radii = np.concatenate([seen, around]), np.pad(ROOM * sizes, (0, len(around)))
 
     of_all = None if instant is None or instant.frame is None else instant.frame.angular_impulse
@@ -399,7 +396,7 @@ def close_up(
         corner=CORNERS[0],
     )
     if explained:
-        words = made._explained(clock, area.theme).wrapped(area)
+        words = Legend(made.pair.lines(), area.theme).titled(header.title, clock).wrapped(area)
         area = replace(area, inset=words.size)
         eye = eye_of(area)
         corner = free_corner(eye, area.aspect, area.inset_share, shown, radii) or CORNERS[0]

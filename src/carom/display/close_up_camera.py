@@ -10,7 +10,7 @@ from carom.recording.layout import drawing
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import UP, View, turned
 
-MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
+_MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
 ROOM = 1.35  # half size of the view around each body, in its radii
 _ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
@@ -23,7 +23,7 @@ _STEEP = 0.7
 
 def shown_whole(radius: FloatArray) -> BoolArray:
     """Return a mask (b,) of the bodies that are small enough to be shown whole."""
-    return np.asarray(radius <= MOST_UNLIKE * radius.min())
+    return np.asarray(radius <= _MOST_UNLIKE * radius.min())
 
 
 def lengths(vectors: FloatArray | None) -> FloatArray:
@@ -57,7 +57,7 @@ def direction(position: FloatArray, normal: FloatArray | None, *arrows: FloatArr
 
 def fit(radius: FloatArray, position: FloatArray, to_eye: FloatArray | None) -> CameraFit:
     """Fit the camera to both bodies; if one is many times larger, to the smaller."""
-    if radius.max() > MOST_UNLIKE * radius.min():
+    if not shown_whole(radius).all():
         place = [int(np.argmin(radius))]
         return CameraFit(3.0 * radius[place], position[place], to_eye=to_eye)
     return CameraFit(ROOM * radius, position, to_eye=to_eye)

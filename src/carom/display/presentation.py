@@ -203,11 +203,11 @@ def presentation(
         )
     references = {name: float(value) for name, value in recording.arrow_references.items()}
     repeated, references = _steps(recording, header, step, references)
-    rows = [*repeated, *(close.rows(header) if close else [])]
+    rows = [*repeated, *(close.rows() if close else [])]
     if paused is not step:
         drawn, references = _instant(recording, header, paused, references)
         rows += drawn
-    statics = list(close.statics(header)) if close else []
+    statics = list(close.statics()) if close else []
     rows += staging.rows()
     statics += staging.statics(canvas.theme)
     if plots is not None:
