@@ -32,7 +32,7 @@ from carom.recording.write.encoder import SPEED
 from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.dimension import Dimension
-from carom.scene.units.system import UnitSystem
+from carom.scene.units.system import UnitSystem, raised
 from carom.scene.wording import counted
 from carom.state.frame import Frame
 
@@ -42,7 +42,6 @@ MOST_NAMED = 7  # most bodies with an entry each, so that the scales of arrows r
 _LEAST_NAMED = 2  # fewest lines about bodies that a legend has
 
 _TINY = -6  # power of ten from which on the numbers of a scale have it as a common factor
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _KEPT = "\u00a0"  # a space at which no line is broken
 _ROW = 25.0  # points, distance from one line to the next
 _MARGIN = 5.0  # points, margin around the lines
@@ -448,7 +447,7 @@ def _scale(header: Header, path: str, reference: float) -> str:
     listed = ", ".join([*(text.removesuffix(f"{_KEPT}{unit}") for text in texts[:-1]), texts[-1]])
     if common == 1.0:
         return listed
-    factor = f"×10{str(power).translate(_RAISED)}"
+    factor = raised("×10", power)
     return listed.removesuffix(unit) + factor + _KEPT + unit
 
 

@@ -198,13 +198,14 @@ class UnitSystem:
 
 def composed(powers: Sequence[tuple[str, int]]) -> str:
     """Write a product of powers of units, such as "solar mass au²/day²"; units without a name are omitted."""
-    product = " ".join(_power(name, power) for name, power in powers if name and power > 0)
-    below = [_power(name, -power) for name, power in powers if name and power < 0]
+    product = " ".join(raised(name, power) for name, power in powers if name and power > 0)
+    below = [raised(name, -power) for name, power in powers if name and power < 0]
     divisor = f"({' '.join(below)})" if len(below) > 1 else "".join(below)
     return f"{product or '1'}/{divisor}" if divisor else product
 
 
-def _power(name: str, power: int) -> str:
+def raised(name: str, power: int) -> str:
+    """Write a power of a unit or number; the first power is the name alone."""
     return name if power == 1 else f"{name}{str(power).translate(_RAISED)}"
 
 
