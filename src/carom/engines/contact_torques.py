@@ -16,15 +16,11 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.engines.engine_contacts import lengths
-from carom.engines.faults import SPIN, Broken, BrokenThen
+from carom.engines.faults import MOSTLY, SPIN, SPREADS, Broken, BrokenThen
 
 FEWEST = 8  # fewest torques that show an engine's habit
 RUBBED = 0.05  # smallest compared torque, divided by the impulse times its arm
 CLEAR = 20.0  # smallest clear torque, in multiples of the noise of an impulse
-MOSTLY = 0.75  # fraction of an engine's contacts that must agree; the other contacts may show faults
-# Smallest deviation of a fault, in multiples of the deviation of most contacts: at PyBullet's planes, impulses deviate
-# by as much as the coefficients.
-SPREADS = 6.0
 OFF = 0.05  # smallest deviation of a fault, divided by the torque
 # smallest deviation of a fault, divided by the torque, if another frame or inertia explains the whole run
 SURELY = 0.01

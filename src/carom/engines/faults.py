@@ -11,6 +11,12 @@ from carom.event import Event
 
 FRICTION, RESTITUTION, PULL, SPIN = "friction", "restitution", "pull", "spin"
 
+# for laws that are judged over a whole run
+MOSTLY = 0.75  # fraction of an engine's contacts that must agree; the other contacts may show faults
+# Smallest deviation of a fault, in multiples of the deviation of most contacts: at PyBullet's planes, impulses deviate
+# by as much as the coefficients.
+SPREADS = 6.0
+
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carom.engines.contact_torques import MOSTLY, SPREADS
 from carom.engines.engine_contacts import EngineMoment, lengths
-from carom.engines.faults import RESTITUTION, Broken, BrokenThen
+from carom.engines.faults import MOSTLY, RESTITUTION, SPREADS, Broken, BrokenThen
 from carom.engines.source import Setup
 
 ALIKE = 9  # impacts at neighbouring speeds that give the expected coefficient of restitution

@@ -14,9 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.engines.contact_torques import MOSTLY, SPREADS
 from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
-from carom.engines.faults import FRICTION, Broken, BrokenThen
+from carom.engines.faults import FRICTION, MOSTLY, SPREADS, Broken, BrokenThen
 from carom.engines.source import Setup
 
 FEWEST = 20  # fewest sliding contacts that show μ
