@@ -356,13 +356,14 @@ def _undetermined(scene: Scene, best: EventDrivenSolution, checks: list[Trajecto
 
 
 def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:
+    pile = Pile.of(scene)
     times, factor, watch = sample_times(scene), 2.0 * finest, Stopwatch()
     tell(f"reference: steps {factor:g} times smaller")
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
     _, of_gravity = _finer_gravity(scene)
     # s, the runs of a pile with other seeds, which have the steps of the scene
-    seeds = 0.0 if Pile.of(scene) is None else SEEDS * watch.seconds / factor
+    seeds = 0.0 if pile is None else SEEDS * watch.seconds / factor
     check_is_coarser = 3.0 * watch.seconds + seeds > budget  # a check with half the step would take too long
     while True:
         factor, started = 2.0 * factor, watch.seconds
@@ -384,13 +385,14 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
             or not gained
             or now + 2.0 * (now - started) + seeds > budget
         ):
-            return _with_pile(scene, reference, coarse, threads, tell)
+            return _with_pile(scene, pile, reference, coarse, threads, tell)
 
 
-def _with_pile(scene: Scene, reference: Reference, check: Trajectory, threads: int | None, tell: Teller) -> Reference:
+def _with_pile(
+    scene: Scene, pile: Pile | None, reference: Reference, check: Trajectory, threads: int | None, tell: Teller
+) -> Reference:
     """To a reference that becomes uncertain during the run, add the settled pile, with its scatter between seeds."""
-    pile = None if reference.is_complete else Pile.of(scene)
-    if pile is None:
+    if pile is None or reference.is_complete:
         return reference
     others = []
     for seed in range(scene.seed + 1, scene.seed + 1 + SEEDS):
