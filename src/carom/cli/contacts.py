@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 40  # most rows printed in the table
 _ROUNDING = 1e-9  # relative rounding of the normal impulse and of its work at the approach speed
-FORMATS = (".parquet", ".csv")  # suffixes of files
+FORMATS = (".parquet", ".csv")  # suffixes of tables
 FIGURES = (".png", ".svg")  # suffixes of figures of statistics
 
 _MEASURED = {  # heading and dimension of a column of the table

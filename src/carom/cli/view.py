@@ -107,7 +107,7 @@ def view(
 
 
 def _view_in_browser(file: Path, request: Request, port: int) -> None:
-    """Host a recording until the interrupt key."""
+    """Host a recording until the interrupt key is pressed."""
     import contextlib
     import getpass
     import socket
@@ -189,7 +189,7 @@ def picture(
 
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
-    """Tell that a plot of velocities takes as long to compute as the run did."""
+    """Announce that a plot of velocities takes as long to compute as the run did."""
     from carom.display.supplement import asked_quantities, needs_replay
     from carom.recording.read.recording import Recording
 

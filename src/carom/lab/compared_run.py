@@ -3,8 +3,8 @@
 Common times fall within steps, and cutting steps at these times would change the run. Within a step, a body is
 therefore assumed to fly freely, with a correction that leads to its state at the end of the step. The correction is a
 polynomial of degree five, or of degree three if the integrator computes no forces at the ends. A body in contact is
-corrected by a constant acceleration, since contacts are held at the mean velocity of a step. After an impact, a body
-flies freely until its next impact.
+corrected by a constant acceleration, because contacts are solved for the mean velocity of a step. After an impact, a
+body flies freely until its next impact.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the int
 SAMPLES = 200  # times at which trajectories are compared
 # distance of a sample from a round time, in sampling intervals; the golden section avoids simple ratios
 EARLIER = (3.0 - 5.0**0.5) / 2.0
-LATE = 0.9  # fraction of the samples after which contacts are late in the run
-ROUNDINGS = 8  # number of roundings of a coordinate by which a held body's drift may differ from its mean velocity
-MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
+LATE = 0.9  # contacts after this fraction of the samples count as late in the run
+ROUNDINGS = 8  # roundings of a coordinate within which displacement and velocities of a body in contact agree
+MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # for few bodies: they cost nothing, and paths can be drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class Setting:
     name: str  # a name such as "integrator = euler, steps 2 times as long"
     overrides: tuple[str, ...]  # values of keys, in the form of ``--set``
     threads: int | None = None  # number of threads; None for the number of threads of the study
-    engine: str = ""  # name of another engine whose own keys `overrides` has; empty for carom
+    engine: str = ""  # name of the other engine whose keys `overrides` contains; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
         """Return the scene with this setting; SceneError if a key or a value is wrong."""
@@ -126,7 +126,7 @@ class Trajectory:
     impacts: int  # number of contacts that closed faster than the rest speed, summed over the steps
     steps: int
     frames: int  # frames in a recording of the run; 0 for a reference, which is not recorded
-    # (k, 2) both ends of every impact, and (k,) its time in s; only exact references have them
+    # (k, 2) both ends of each impact, and (k,) the times of the impacts in s; only exact references have them
     struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
     struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
 
@@ -143,7 +143,7 @@ class Trajectory:
         """Return the trajectory of an exact reference, which has no steps, overlaps or measured errors.
 
         ``met`` is the time (s) of the first contact of each pair, ``position`` and ``velocity`` are (K, n, 3), and
-        ``struck`` may have ``struck`` and ``struck_at``.
+        ``struck`` may contain the fields ``struck`` and ``struck_at``.
         """
         return cls(
             time=time[: len(position)],
@@ -257,7 +257,7 @@ def follow(
 
 
 class _Watch(Watch):
-    """A schedule that requests a frame after each step that passes a time, and keeps the state before that step."""
+    """A schedule with a frame after each step that passes a sampling time; it keeps the state before that step."""
 
     def __init__(self, space: Space, times: FloatArray, guard: RunGuard) -> None:
         self.is_over = False  # whether the run was stopped at its bound
@@ -275,7 +275,7 @@ class _Watch(Watch):
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the number of steps and the time (s) before the next sample or frame; see the last step's contacts."""
+        """Return for how many steps and until when (s) no sample or frame is due; store the last step's contacts."""
         if not self._space.has_solution:
             self.see_contacts(time)
         steps, until = quiet(self._recorded, step, time) if self._recorded else (math.inf, math.inf)
@@ -351,7 +351,7 @@ class _Watch(Watch):
         way = frame.position - x
         if self._space.box is not None:
             way = minimum_images(way, self._space.box)
-        way_end, v_end = flight.at(dt)  # end of the path of bodies without impacts
+        way_end, v_end = flight.at(dt)  # at the end of the step if there were no impacts
         missing, ahead = way - way_end, frame.velocity - v_end
         # an impact at the end of the step changes the final velocity; otherwise differences are rounding
         gained = 2.0 / dt * missing

@@ -18,7 +18,7 @@ TEXT_IN_SVG = {"svg.fonttype": "none"}  # keeps letters as text, which can be se
 def styled(size: float, what: str = "a figure", **further: Any) -> AbstractContextManager[None]:
     """Return the drawing context of carom's figures, with a font size in points and further settings.
 
-    Raises ExperimentError if matplotlib is not there.
+    Raises ExperimentError if matplotlib is not installed.
     """
     with needing("plot", what, "matplotlib"):
         import matplotlib as mpl  # noqa: PLC0415 - an extra

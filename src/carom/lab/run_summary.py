@@ -65,8 +65,8 @@ class UnknownNameError(Exception):
 class Expression:
     """A condition on a summary: comparisons of names, numbers and texts, joined by ``and``, ``or`` and ``not``.
 
-    Names are the keys of ``carom inspect --json``, with dots between the levels. ExperimentError if the text cannot be
-    read.
+    Names are the keys of ``carom inspect --json``, with dots between the levels. Raises ExperimentError if the text
+    cannot be read.
     """
 
     def __init__(self, text: str, option: str = "--while") -> None:
@@ -108,7 +108,7 @@ class Expression:
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
 
     def _compiled(self, node: ast.expr) -> Evaluator:
-        """Return the function that evaluates a node, and store the node's names; refuse other nodes."""
+        """Return the function that evaluates a node, and store the node's names; refuse nodes that are not allowed."""
         match node:
             case ast.Name() | ast.Attribute():
                 name = self._dotted(node)
@@ -174,9 +174,9 @@ def _shown(value: Any) -> str:
 
 Pair = frozenset[str]  # names of both ends
 
-SUNK = 0.05  # overlap, in smaller radii, from which an overlap must not last
-LASTING = 20  # number of steps after which an overlap lasts
-STEADY = 0.01  # largest change of an overlap at rest in `LASTING` steps, in smaller radii
+SUNK = 0.05  # largest overlap that may last, relative to the smaller radius
+LASTING = 20  # number of steps after which an overlap counts as lasting
+STEADY = 0.01  # largest change of an overlap at rest in `LASTING` steps, relative to the smaller radius
 
 
 class Touches:
@@ -187,7 +187,7 @@ class Touches:
         self._radius = space.state.radius
         self._since: dict[Pair, tuple[int, float]] = {}  # first step of a steady overlap, and the overlap
         self.pairs: set[Pair] = set()
-        self.sunk: dict[Pair, float] = {}  # overlap, in smaller radii, of each pair that overlaps at rest
+        self.sunk: dict[Pair, float] = {}  # overlap, relative to the smaller radius, of each pair that overlaps at rest
 
     def see(self, frame: Frame) -> None:
         """Add the impacts since the previous frame, and measure overlaps that last."""
@@ -213,7 +213,7 @@ def end_name(names: Names, end: int) -> str:
 
 @dataclass(eq=False)
 class Observation:
-    """A run up to a frame."""
+    """The data of a run up to a frame."""
 
     space: Space
     initial: float  # J, energy at the start
@@ -228,7 +228,7 @@ class Observation:
 
     @cached_property
     def verdicts(self) -> list[Verdict]:
-        """The promises of the scene."""
+        """The verdicts on the promises of the scene."""
         return judge(self.space.scene, self.space.named_extremes(), self.space.time, self.space.state)
 
     @cached_property

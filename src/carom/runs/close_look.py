@@ -41,7 +41,6 @@ LASTS = 4  # steps after which a pressing contact carries a load; the force that
 LOOK_AFTER = LASTS + 1.0  # steps after an interval that are read for the loads of contacts
 RETURNS = 2.0  # steps; if a bounce would take longer (2 v/a), a step must not end it at rest
 SHARED = 5e-2  # fraction of the touching bodies' kinetic energy by which two runs may differ in how they share impulses
-# impulses otherwise
 TURNED = 0.01  # rad or sizes: change, in a step, of a torque that resists rolling; its error is of first order
 FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
 SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
@@ -194,7 +193,7 @@ class CloseLook:
                 continue
             approach = float(row["approach_speed"])
             if 0.5 * _reduced_mass(ends, self.start) * approach * approach <= SHARED * energy:
-                continue  # the contacts share impulses no differently then
+                continue  # the contacts then share impulses in the same way
             normal = _normal(row)
             returned = 0.0  # m/s, change of speed in a step by loads along the normal and by friction
             for load in (load for end in ends for load in self.run.loads.get(end, [])):
@@ -220,8 +219,8 @@ def _beyond(vector: FloatArray, loads: list[Load], share: float) -> float:
     """Return the remainder of a difference that exceeds the velocity changes that loads allow, times ``share``.
 
     Each load allows a difference of twice its change in a step, since an impact may reverse the load. All loads
-    together may leave a smaller remainder than loads that are taken one after the other: a light ball between two heavy
-    ones is pushed out across two normals that are nearly opposite.
+    together may leave a smaller remainder than the same loads one after the other: a light ball between two heavy ones
+    is pushed out across two normals that are nearly opposite.
     """
     rest, along = vector, np.array([2.0 * load.speed * share * load.direction for load in loads]).T
     size = float(np.abs(along).max(initial=0.0))
@@ -237,8 +236,8 @@ def _rubbed(loads: list[Load], friction: float) -> float:
 def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float, start: InitialBodies) -> RunInterval:
     """Repeat the steps from a frame to the end (s) of an interval, and look at its contacts.
 
-    The space records contacts. Steps before the beginning (s) of the interval, and some of ``dt`` (s) beyond its end,
-    show which contacts last, and their loads.
+    The space records contacts. Steps before the beginning (s) of the interval, and some steps of ``dt`` (s) after its
+    end, show which contacts last, and their loads.
     """
     space.restore(frame.checkpoint)
     n, free, mass = len(start.mass), ~np.asarray(start.fixed), start.mass
@@ -253,7 +252,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
     vague: dict[Pair, float] = {}
     eased: dict[Pair, tuple[float, FloatArray]] = {}  # changes of impulses (N s), and normals, as in `held`
     for one in space.run(until=end + LOOK_AFTER * dt, schedule=every(0.0)):
-        if one.step == first:  # a restored state has no table
+        if one.step == first:  # a restored state has no contact table
             continue
         inside = one.time > begin
         counts = inside and one.time <= end + dt
@@ -306,7 +305,7 @@ def look_closely(space: Space, frame: Frame, begin: float, end: float, dt: float
 
 
 def _blur(vague: dict[Pair, float], impacts: Records, supported: set[int], frame: Frame) -> None:
-    """Raise the uncertainties of pairs whose impacts in a step are less certain; ``supported`` bodies are at rest."""
+    """Raise the uncertainty of each pair to that of its impacts in a step; ``supported`` bodies are at rest."""
     for row in impacts:
         ends, normal = (int(row["i"]), int(row["j"])), _normal(row)
         uncertain = 0.5 * frame.dt * sum(abs(float(frame.acceleration[end] @ normal)) for end in supported & set(ends))
@@ -315,7 +314,7 @@ def _blur(vague: dict[Pair, float], impacts: Records, supported: set[int], frame
 
 
 def _load_of_impact(row: np.void, loads: dict[int, list[Load]], start: InitialBodies) -> None:
-    """Add the part of the bodies' support that an impact passes on to the loads of both bodies.
+    """Add, to the loads of both bodies, the part of their support that an impact passes on.
 
     The closing speed of a body that rests on something contains half of the impulse of its support in a step, along the
     normal of the impact (docs/physics.md, section 9).

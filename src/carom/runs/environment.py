@@ -38,7 +38,7 @@ _ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or key 
 
 
 def versions(further: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Return the versions of Python , of the packages that a result depends on, and of ``further`` packages."""
+    """Return the versions of Python, of the packages that a result depends on, and of ``further`` packages."""
     own = {package: _version(package) for package in PACKAGES}
     return {"python": platform.python_version(), **own, **(further or {})}
 
@@ -225,7 +225,7 @@ def received() -> int:
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    """Raise for the first request to end; drop the same request sent again; end at once at a later one.
+    """Raise KeyboardInterrupt at the first request to end; drop its repetition; end at once at a later request.
 
     Wrappers and schedulers send the same request twice. A second exception, within the clean-up after the first one or
     after a run that a signal has ended, would print a traceback and another exit code.
@@ -287,7 +287,7 @@ class Interrupts:
     Parameters
     ----------
     patience
-        Presses of the interrupt key that raise nothing.
+        Number of presses of the interrupt key that raise nothing.
     """
 
     def __init__(self, patience: int = 1) -> None:

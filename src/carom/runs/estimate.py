@@ -244,7 +244,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
         seconds[name if name in modelled else otherwise] += spent / space.step
     if needs.potential.modelled:
         more, duration = _more_for_the_potential(space), space.scene.time.duration
-        # interval of the frames; most frames are checks
+        # number of checks at fixed times; most frames are checks, too
         by_time = max(frames, duration / auto_interval(space.scene, duration))
         seconds["potential"] = more * min(1.0, 1.0 / space.scene.record.check_every + by_time / steps)
         seconds["gravity"] = max(0.0, seconds["gravity"] - seconds["potential"])

@@ -22,13 +22,14 @@ from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.state.frame import Frame
 
-FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # time for measuring steps that one call makes in bulk
+# for timing steps that one call makes in bulk: steps and rounds, and time limit in s
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # bytes of a body in a frame
 # lengths of coarse steps, in steps of the scene; the second is used if the first would take too long
 STRIDES = 8.0, 64.0
 LOOK_SECONDS = 3.0  # s, time limit of each coarse run
-# a coarse run ends early if it would cover less than this fraction of the duration within its limit
+# s after which a coarse run ends early if it would cover less than `LEAST_SEEN` of the duration within its limit
 GLANCE_SECONDS = 0.1
 LEAST_SEEN = 0.05
 SHORTER = 10.0  # factor by which steps must shorten before a run counts as slow

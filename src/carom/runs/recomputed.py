@@ -1,4 +1,4 @@
-"""Data of a recording: read from the file if they are there, otherwise computed from the last checkpoint before."""
+"""Data of a recording: read from the file if they are there, otherwise computed from an earlier checkpoint."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from carom.scene.wording import Names
 
 FACTOR = 4.0  # default factor: an error of first order shrinks to a quarter, so three quarters of it show
 INSTANTS = 200  # instants at which the runs are compared
-MOST_TOLD = 8  # faults after which the comparison ends, since the question has been answered
+MOST_TOLD = 8  # number of faults after which the comparison ends, since the question has been answered
 TRIAL_SECONDS = 1.0  # s of stepping after which the remaining time is estimated
 
 Consent = Callable[[float], bool]  # remaining time (s) → whether to continue

@@ -167,8 +167,8 @@ def simulate(
 ) -> Outcome:
     """Run a space to the end of its scene and record it.
 
-    The interrupt key, SIGTERM and SIGHUP end it early, with a closed file. A second interrupt raises KeyboardInterrupt,
-    and leaves the file unfinished.
+    The interrupt key, SIGTERM and SIGHUP end the run early, with a closed file. A second interrupt raises
+    KeyboardInterrupt, and leaves the file unfinished.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def simulate(
     continued
         The frames that a resumed run continues; they are written first.
     properties
-        Provenance for the recording; by default that of this process.
+        Provenance for the recording; by default the provenance of this process.
     member
         The run's place in a sweep.
 

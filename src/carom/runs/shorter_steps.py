@@ -47,7 +47,7 @@ MOST_GROWTH = 300.0  # growth beyond which a twin's tolerance of positions would
 COMPARABLE = 0.5  # a new window begins when less than this fraction of the free bodies is comparable
 CERTAIN = 4.0  # number of standard errors at which the mean difference of a ledger entry is certain
 FEWEST_INTERVALS = 8  # fewest intervals for a mean difference
-AT_REST = 1e-6  # speed, relative to the largest, below which bodies are compared as if they moved so fast
+AT_REST = 1e-6  # speed, relative to the largest, below which bodies are compared as if they had this speed
 EPS = float(np.finfo(np.float64).eps)
 
 CALLED = {"position": "distance covered", "velocity": "velocity", "spin": "speed of the surface"}
@@ -99,7 +99,7 @@ def _reached(space: Space, time: float) -> Frame:
 
 
 def forget_overlap(space: Space) -> None:
-    """Begin to look for the deepest overlap of an interval."""
+    """Reset the deepest overlap, for the next interval."""
     if space.extremes.overlap is not None:
         space.extremes.overlap = NOTHING
 
@@ -177,13 +177,14 @@ class Comparison:
             self._opened = frame
 
     def _judge_losses(self, before: Frame, frame: Frame, fine_before: Frame, fine: Frame, of_twin: FloatArray) -> None:
-        """Compare the ledger entries of an interval that began with nearly all energy in bodies of certain motion.
+        """Compare the ledger entries of an interval that began with nearly all energy in bodies of predictable motion.
 
         Chaos within the interval may change which body has the energy, but hardly how much energy is left. An entry is
-        judged if the twin agrees with the run, or agrees with the shorter steps, which means that the run alone is
+        compared if the twin agrees with the run, or agrees with the shorter steps, which means that the run alone is
         wrong. The quantity must also differ two steps later, since an impact may be just before or just after the
         instant. If positions differ, forces have done different work, and contacts remove the energy that position
-        corrections add. Forces may let held bodies close within a step; with shorter steps, these bodies bounce.
+        corrections add. Within a step, forces may make bodies in contact approach each other; with shorter steps, these
+        bodies bounce.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)
@@ -392,7 +393,7 @@ class Comparison:
         return reach * float(np.sqrt(((other[body] - one[body]) ** 2).sum()))
 
     def _size(self, name: str, body: int, frame: Frame) -> float:
-        """Return the scale of the compared quantity: a distance in m, or a speed in m/s."""
+        """Return the magnitude of the compared quantity: a distance in m, or a speed in m/s."""
         if name == "position":
             return float(np.sqrt((self._between(frame.position, self._origin)[body] ** 2).sum()))
         if name == "velocity":

@@ -79,7 +79,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
     path
         The ``.zip`` to write.
     at
-        s, the time in question; by default the worst of the run.
+        s, the time in question; by default the worst moment of the run.
 
     Raises
     ------

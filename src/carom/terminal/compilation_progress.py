@@ -38,7 +38,7 @@ class CompilationProgress(Compilations):
         self._say = say
         self._began = self._last_line = time.perf_counter()
         self._had = kernels_ready()  # number of kernels that were ready at the start
-        self._depth = 0  # number of kernels in compilation; each is needed for the previous one
+        self._depth = 0  # number of kernels being compiled; each is needed for the previous one
         LiveLine.interlude = self.interlude
 
     def on_start(self, event: object) -> None:
@@ -51,7 +51,7 @@ class CompilationProgress(Compilations):
             self._say(self.text(now))
 
     def on_end(self, event: object) -> None:
-        """Note that a kernel is compiled, or could not be."""
+        """Note that a kernel is compiled, or that its compilation failed."""
         self._depth = max(0, self._depth - 1)  # the event of the first kernel may have been missed
 
     def interlude(self, now: float) -> str:
@@ -87,7 +87,7 @@ def kernels_needed(scene: Scene) -> int:
 
 
 def kernels_ready() -> int:
-    """Return the number of kernels that this process has: compiled, loaded, or part of others that were loaded."""
+    """Return the number of kernels that this process has: compiled, loaded, or part of a loaded kernel."""
     found = set[Any]()
     waiting = [kernel for name in list(sys.modules) for kernel in _kernels_of(name) if kernel.overloads]
     while waiting:

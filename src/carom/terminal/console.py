@@ -61,7 +61,7 @@ def print_whole(table: Table) -> None:
 class LiveLine:
     """A line on stderr, rewritten in place on a terminal and printed every few seconds elsewhere."""
 
-    # returns a text to show instead, at a time in s
+    # returns a text to show in place of the line, at a time in s
     interlude: ClassVar[Callable[[float], str]] = staticmethod(lambda now: "")
     is_live: ClassVar[bool] = False  # whether any progress is shown on the terminal
 
@@ -103,10 +103,10 @@ class LiveLine:
 
 
 class Patience(LiveLine):
-    """A line on the terminal that names work which takes longer than `PATIENCE`.
+    """A line on the terminal that names work that takes longer than `PATIENCE`.
 
-    The interlude replaces the line ``beside``. With ``everywhere``, the line is also printed every `LINE_EVERY` if the
-    output is not a terminal.
+    The line is shown on the console of ``beside``, and the interlude replaces its text. With ``everywhere``, the line
+    is also printed every `LINE_EVERY` if the output is not a terminal.
     """
 
     def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:

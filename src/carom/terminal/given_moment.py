@@ -76,7 +76,7 @@ class GivenMoment:
 
     @property
     def given(self) -> float | int | str | None:
-        """The value of this option."""
+        """The value of the given option."""
         return next((value for value in (self.at, self.step, self.event) if value is not None), None)
 
     def time(self, recording: Recording, watch: Callable[[StepStatus], None] | None = None) -> float | None:

@@ -72,7 +72,7 @@ def other_lives(a: Recording, b: Recording) -> list[OtherLife]:
 
 
 def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
-    """Return the times (n, 2) in s of the first and last frame of an interval with each body; NaN without one."""
+    """Return the times of each body's first and last frame within an interval, (n, 2) s; NaN if it has none."""
     table, n = recording.fingerprints(), int(recording.info["bodies"])
     if recording.lives is None:
         return np.tile((begin, end), (n, 1))
@@ -136,7 +136,7 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts in both recordings; None if a recording has no impacts, like some of other engines."""
+    """Compare the impacts in both recordings; None if a recording has no contacts or is of another engine."""
     if not (a.records_contacts and b.records_contacts) or a.engine or b.engine:
         return None
     numbers = impacts_by_number(a)[0], impacts_by_number(b)[0]
@@ -145,7 +145,7 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
     times = tuple(table["time"].to_numpy() for table in tables)
     rows = _matched(ends, times)
     common = [table.take(pa.array(row)) for table, row in zip(tables, rows, strict=True)]
-    # times may differ by the unit of the timeline: scaled nanoseconds
+    # times are rounded to the unit of their timeline, a scaled nanosecond
     scales = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
     rounding = 0.0 if scales[0] == scales[1] else max(scales)
     differs: BoolArray = np.abs(np.subtract(*(table["time"].to_numpy() for table in common))) > rounding
@@ -162,7 +162,7 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
 
 
 def _matched(ends: tuple[IntArray, ...], times: tuple[FloatArray, ...]) -> tuple[IntArray, IntArray]:
-    """Return the rows of matched impacts in both runs, in the order of time in the first."""
+    """Return the rows of matched impacts in both runs, in order of time in the first run."""
     none = np.empty(0, np.int64)
     found: list[list[IntArray]] = [[none], [none]]
     groups = [_rows_by_ends(each) for each in ends]
@@ -195,7 +195,7 @@ def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
         return np.arange(len(short))
     cost, taken = np.zeros(skips + 1), np.empty((len(short), skips + 1), np.int64)
     for k, time in enumerate(short):
-        best = np.minimum.accumulate(cost)  # lowest cost with at most this many skipped impacts before
+        best = np.minimum.accumulate(cost)  # lowest cost so far with at most this many skipped impacts
         first = np.maximum.accumulate(np.where(cost == best, np.arange(skips + 1), 0))
         taken[k] = first
         cost = best + np.abs(long[k : k + skips + 1] - time)
@@ -214,7 +214,7 @@ def _alone(
     times: tuple[FloatArray, ...],
     rows: tuple[IntArray, IntArray],
 ) -> ImpactPair | None:
-    """Return the first impact, within the common time, that is certainly missing in one run; None without one."""
+    """Return the first impact, within the common time, that is certainly missing in one run; None if there is none."""
     spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
     begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
     found: list[ImpactPair] = []
@@ -247,7 +247,7 @@ def _impact(table: pa.Table, numbers: IntArray, row: int) -> Impact:
     return Impact(int(numbers[row]), (values["i"], values["j"]), *measured)
 
 
-MOST_APART = 3  # most bodies that are named
+MOST_APART = 3  # largest number of bodies that are named
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +259,7 @@ class MomentApart:
     rms: float  # m, rms distance between counterparts
     energy: float  # J, energy of the second run minus the first
     bodies: tuple[int, ...]  # bodies that are farthest apart, the farthest first; none if all positions are the same
-    apart: tuple[float, ...]  # m, their distances
+    apart: tuple[float, ...]  # m, distances of these bodies between the recordings
 
 
 def moment_apart(matched: FrameAlignment, curve: DistanceCurve, time: float, shown: Sequence[int]) -> MomentApart:
@@ -286,7 +286,7 @@ class Diff:
     curve: DistanceCurve
     divergence: Divergence | None
     verdict: DiffVerdict
-    impacts: ImpactDivergence | None  # None if either recording has no impacts
+    impacts: ImpactDivergence | None  # None if either recording has no contacts or is of another engine
     first_bits: FirstBits | None = None  # None unless both runs have exact states of the first frame that differs
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
     lives: Sequence[OtherLife] = ()  # bodies that exist for different times in the two runs
@@ -299,7 +299,7 @@ class Diff:
 
 
 def diff(a: Recording, b: Recording, moment: float | None = None) -> Diff:
-    """Compare two recordings, with frames matched as in `FrameAlignment`; detail the frame nearest to a time (s).
+    """Compare two recordings, with frames matched as in `FrameAlignment`; describe the frame nearest to ``moment`` (s).
 
     Raises
     ------

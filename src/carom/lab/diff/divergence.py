@@ -23,14 +23,15 @@ from carom.recording.read.recording import Recording
 from carom.scene.units.dimension import LENGTH, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
 
-_SATURATED = 0.1  # difference, in sizes of the system, beyond which growth is no longer free
+_SATURATED = 0.1  # difference, in sizes of the system, beyond which its growth saturates
 _POINTS, _FACTOR = 5, 10.0  # fewest frames, and smallest growth, from which a rate is fitted
-_ROUNDING = 16 * 2.0**-53  # relative rounding error of a coordinate by the few operations on it in a step
+_ROUNDING = 16 * 2.0**-53  # relative rounding error that the few operations of a step cause in a coordinate
 _GRAZING = 1000.0  # ratio of mean free path to radius: a grazing impact multiplies a difference by this factor at once
 _SURE = 3.0  # standard errors by which a significant rate exceeds 0
 _LARGEST_EXPONENT = 700.0  # exp overflows above 709.78
 SAME_TIME = 1e-12  # relative tolerance; times are sums of dt, with this round-off after thousands of steps
-_GAPS_AT_THE_END = 2.0  # multiples of the largest gap between common frames; one run may have two recording intervals
+# longest time after the last common frame, in largest gaps between common frames; a run may have two frame intervals
+_GAPS_AT_THE_END = 2.0
 _UNSEEN = 2.0  # factor on the second difference of three frames, for larger accelerations between them
 _SINGLE = float(np.finfo(np.float32).eps)
 ARRAYS = ("position", "velocity", "orientation", "angular_velocity")

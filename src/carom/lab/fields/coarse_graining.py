@@ -1,9 +1,9 @@
 """Coarse-graining on a grid: bodies and contacts become densities that are constant in each cell.
 
 The method is Goldhirsch's, Granular Matter 12, 239 (2010). Its function φ(r - r') is 1/V if r' is in the cell of r,
-whose volume is V, and 0 elsewhere. No other φ both needs no bodies beyond a wall, and makes sums over the cells exactly
-equal to sums over the bodies. Contacts transfer momentum along branch vectors. A branch vector counts in each cell with
-the fraction of its length that lies in the cell: this is the integral of φ along the vector.
+whose volume is V, and 0 elsewhere. It is the only φ that needs no bodies beyond a wall and makes sums over the cells
+exactly equal to sums over the bodies. Contacts transfer momentum along branch vectors. A branch vector counts in each
+cell with the fraction of its length that lies in the cell: this is the integral of φ along the vector.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Grid:
     def cells(self, point: FloatArray, time: FloatArray) -> IntArray:
         """Return the numbers of the cells that contain points, (k, 3) m, at times (k,) s; bodies on a face count once.
 
-        If a body overlaps a wall, its centre may be outside a face that does not repeat; it then counts in the cell
+        A body that overlaps a wall may have its centre outside a face that is not periodic; it then counts in the cell
         inside that face.
         """
         place = point - self.origin
@@ -78,20 +78,21 @@ class Grid:
         Parameters
         ----------
         start, reach
-            Beginnings of the branch vectors, and the branch vectors, (k, 3) m.
+            Starting points of the branch vectors, and the vectors themselves, (k, 3) m each.
         time
             Time of each vector, (k,) s.
 
         Returns
         -------
         branch, cell, fraction
-            For each piece, (p,): the row of its branch, the number of its cell, and its fraction of the length.
+            For each piece, (p,): the row of its branch, the number of its cell, and its fraction of the branch's
+            length.
         """
         ends = [np.zeros(len(start)), np.ones(len(start))]
         for axis in range(3):
             first = (start[:, axis] - self.origin[axis]) / self.cell[axis]
             offsets = [np.zeros(len(start))]
-            # the two images along the gradient have separate cells
+            # the cells of both neighbouring images along the gradient are displaced along the flow
             if self.shear is not None and axis == self.shear.axes[0]:
                 moved = self.shift(time) / self.cell[axis]
                 offsets += [moved, -moved]

@@ -35,7 +35,7 @@ class Fields:
     units: UnitSystem
     start: float  # s, time of the first frame of the interval
     end: float  # s, time of the last frame of the interval
-    moments: int  # exact states in the interval over which bodies and lasting contacts are averaged
+    moments: int  # number of exact states over which bodies and lasting contacts are averaged
     bodies: int  # number of movable bodies; fixed ones are boundaries, like walls
     origin: FloatArray  # (3,) m, the corner of the grid with the lowest coordinates
     cell: FloatArray  # (3,) m, edges of each cell

@@ -74,7 +74,7 @@ FORMATS: Mapping[str, Callable[[Fields, Path], None]] = {
 
 
 def refuse(path: Path, force: bool) -> None:
-    """Raise RecordingError if the suffix of a file is none of `FORMATS`, or the file cannot be written."""
+    """Raise RecordingError if the suffix of a file is not in `FORMATS`, or the file cannot be written."""
     refuse_format(path, tuple(FORMATS))
     refuse_output(path, force)
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 COLUMNS = 3
 PANEL = 3.3  # length of the longer side of a panel, in inches
-FLAT = 4  # ratio of cells along x and y to cells along z, from which a grid is shown from above
-MOST_ARROWS = 14  # most arrows along a side
+FLAT = 4  # smallest ratio of cells along x and y to cells along z for which a grid is shown from above
+MOST_ARROWS = 14  # largest number of arrows along a side
 _PLAIN = Dimension("number", "", (0, 0, 0, 0), "3")
 
 

@@ -43,7 +43,7 @@ def fields(
     """Average the bodies and contacts of a recording in the cells of a grid, over an interval.
 
     Nothing is simulated unless ``replay`` is given: bodies and lasting contacts come from at most 64 exact states, and
-    only impacts that have a row count. The result's attribute ``notes`` names what is missing.
+    impacts without a row in the recording do not count. The result's attribute ``notes`` names what is missing.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ class FieldSums:
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
         """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given the sum over impacts with known places, (3, 3) each.
 
-        A cell's share is its fraction of the trace of the sum over impacts with known places, without parts in fixed
+        A cell's share is its fraction of the trace over impacts with known places, without the parts inside fixed
         bodies.
         """
         share = np.trace(self._impacts, axis1=1, axis2=2)

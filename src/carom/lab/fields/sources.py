@@ -1,9 +1,9 @@
 """The data of fields: bodies and contacts at exact states, and impacts between these states, read or recomputed.
 
-A recording has exact velocities at its checkpoints, and there the impulses of lasting contacts over the whole step.
-Friction has the magnitude of the whole step, and the direction of the last kick, which the exact state contains. For
-the largest impacts, a recording has point, normal and normal impulse, but no direction of friction; for all impacts,
-friction included, it has the sum of ℓ ⊗ J.
+At its checkpoints, a recording has exact velocities, and the impulses of lasting contacts over the whole step. Friction
+has the magnitude of the whole step, and the direction of the last kick, which the exact state contains. For the largest
+impacts, a recording has point, normal and normal impulse, but no direction of friction; for all impacts, friction
+included, it has the sum of ℓ ⊗ J.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Pushes(NamedTuple):
 
 
 class Collector(Protocol):
-    """Takes the data of an interval."""
+    """Receives the data of an interval."""
 
     def add_bodies(self, position: FloatArray, velocity: FloatArray, there: BoolArray, time: float) -> None:
         """Add bodies at a time (s): positions (m), velocities (m/s), both (n, 3), and a mask of existing ones, (n,)."""
@@ -92,7 +92,7 @@ def _read(interval: Interval, collector: Collector) -> None:
     impulse = rows.impulse[:, None] * rows.normal
     collector.add_impacts(Pushes(rows.i, rows.j, start, whole, impulse, rows.time))
     known = np.einsum("ka,kb->ab", whole, impulse)
-    with suppress(RecordingError):  # if the recording lacks these sums, it raises an error
+    with suppress(RecordingError):  # raised if the recording lacks these sums
         collector.add_unplaced(interval.sums.virial - known, known)
 
 
@@ -118,7 +118,7 @@ def _replay(interval: Interval, collector: Collector) -> None:
 
 
 def _of_rows(rows: Records, centre: FloatArray) -> Pushes:
-    """Return rows of the contact table, (k,), given the centres (k, 3) in m of the bodies i."""
+    """Convert rows of the contact table, (k,), given the centres of the bodies i, (k, 3) m."""
     normal = _vectors(rows, ("nx", "ny", "nz"))
     whole = (rows["arm_i"] + rows["arm_j"])[:, None] * normal
     impulse = rows["normal_impulse"][:, None] * normal + _vectors(rows, ("friction_x", "friction_y", "friction_z"))
@@ -148,7 +148,7 @@ def _of_engine(interval: Interval, state: Checkpoint) -> Pushes:
 def _joined(
     interval: Interval, state: Checkpoint, i: IntArray, j: IntArray, normal: FloatArray, impulse: FloatArray
 ) -> Pushes:
-    """Add the lines between the centres to contacts, from the exact positions."""
+    """Add to contacts the lines between the centres of their bodies, from the exact positions."""
     position = state.position
     whole, pair = interval.arms(i, j)[:, None] * normal, j < interval.bodies
     cell = interval.recording.cell(state.time)

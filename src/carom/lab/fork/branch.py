@@ -1,4 +1,4 @@
-"""`Branch`: a recording to fork, the time of the fork, and the new parameters; it runs here or on workers."""
+"""`Branch`: a recording to fork, when to fork it, and the new parameters; it runs in this process or on workers."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class ForkStart:
 
 
 def _with_books(space: Space, checkpoint: Checkpoint) -> Space:
-    """Restore a checkpoint in which bodies may wait; its books begin anew, with the forces of the new parameters."""
+    """Restore a checkpoint with bodies that may still wait to enter; begin its books anew, with the new forces."""
     fresh = space.frame().checkpoint  # a fresh state, as if no body had entered or left
     space.restore(replace(checkpoint, energy=fresh.energy, books=fresh.books))
     acceleration, now = space.accelerated(), space.frame().energy
@@ -174,7 +174,7 @@ def path_of(
     """Run a branch to its end.
 
     Branches are compared at the end, and at multiples of the frame interval, or of a longer interval if there are many
-    frames. Each branch has a frame at the first step at or after a multiple. Since steps differ between branches,
+    frames. Each branch has a frame after the first step that reaches a multiple. Since steps differ between branches,
     bodies are moved back along their velocities to the exact multiple.
     """
     begin, end = start.checkpoint.time, start.scene.time.duration
@@ -253,7 +253,7 @@ class PerturbedTask:
 
 @dataclass(frozen=True, slots=True)
 class PerturbedResult:
-    """Distances between the bodies of a perturbed branch and of the unperturbed one."""
+    """Distances of bodies in a perturbed branch from their counterparts in the unperturbed branch."""
 
     seed: int
     apart: SingleArray  # (k, n) m

@@ -33,7 +33,7 @@ from carom.runs.run import Outcome, simulate
 from carom.scene.units.dimension import LENGTH, TIME
 
 # The probability of an outcome as a function of the time of the fork.
-_Z = 1.96  # half-width in standard deviations of the interval with 95 % of a normal distribution
+_Z = 1.96  # half-width, in standard deviations, of the interval that contains 95 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +59,9 @@ class Chance:
 
 
 def chances(draw: Draw, begin: float, end: float, count: int, last_step: float = math.inf) -> Iterator[Chance]:
-    """Fork at the ends of ``count`` equal intervals after a time (s) and before the end.
+    """Divide the time from ``begin`` to ``end`` (s) into ``count`` equal intervals, and fork between them.
 
-    A fork begins at the end of a step, so none begins after ``last_step``, the beginning (s) of the last step.
+    A fork begins at the end of a step, so none begins after ``last_step``, the time (s) at which the last step begins.
     """
     for k in range(1, count):
         time = begin + (end - begin) * k / count
@@ -98,7 +98,7 @@ class Inevitable:
 
 
 def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> Inevitable:
-    """Find the time by bisection between two times (s); at the later time, the outcome is certain."""
+    """Find the time from which the outcome is inevitable, by bisection; at ``end`` (s), the outcome is certain."""
     first = judge(draw, begin)
     found = Inevitable(begin, begin if first.inevitable else end, first.inevitable, [first])
     for _ in range(0 if first.inevitable else rounds):
@@ -133,14 +133,14 @@ BAND = (5.0, 50.0, 95.0)  # percentiles of an ensemble's distances
 class Ensemble:
     """Distances of perturbed branches from the unperturbed one.
 
-    `spread` is the root mean square over all branches; it shows which bodies are still predictable.
+    `spread` is the rms distance of each body over all branches; it shows which bodies are still predictable.
     """
 
     time: FloatArray  # (k,) s
     reference: FloatArray  # (k, n, 3) m
     rms: FloatArray  # (seeds, k) m, rms distance over the bodies of each branch
     band: FloatArray  # (3, k) m, percentiles `BAND` of `rms`
-    spread: FloatArray  # (k, n) m, spread of each body
+    spread: FloatArray  # (k, n) m, rms distance of each body over the branches
     growth: Divergence | None  # growth of the median
     rates: FloatArray  # (r,) 1/s, rate λ of each branch whose distance grows exponentially
     outcomes: list[bool]  # whether each branch had the outcome

@@ -18,7 +18,7 @@ from carom.arrays import FloatArray
 
 Value = TypeVar("Value")
 
-# Vectors of multiples of 1/4 up to 1, simplest first; a vector takes one draw, since three draws would take most of the
+# Vectors of multiples of 1/4 up to 1, simplest first; a vector needs one draw, since three draws would take most of the
 # time
 QUARTERS = np.array(sorted(itertools.product(np.arange(-4, 5) / 4, repeat=3), key=lambda v: (np.abs(v).sum(), *v)))
 DIRECTIONS = QUARTERS[1:] / np.linalg.norm(QUARTERS[1:], axis=1, keepdims=True)
@@ -215,7 +215,7 @@ def _clear(
 
 
 def _timing(draw: Draw, integrator: str) -> str:
-    """Yoshida's method drifts back in time, which excludes exact impacts."""
+    """Draw the timing of impacts; Yoshida's method drifts back in time, which excludes exact impacts."""
     return draw.choice("auto", "end-of-step", *(["time-of-impact"] if integrator != "yoshida4" else []))
 
 

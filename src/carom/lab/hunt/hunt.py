@@ -31,13 +31,13 @@ from carom.scene.load import Scene, scene_from_text
 from carom.scene.wording import command
 from carom.sharing.report import report
 
-LEDGER = 1e-9  # error relative to the energy scale in flight without forces: some 10⁶ roundings of 10⁻¹⁶
+LEDGER = 1e-9  # error relative to the energy scale in flight without forces: some 10⁷ roundings of 10⁻¹⁶
 CONSERVED = 1e-9  # largest change of a conserved momentum, relative to the largest momentum
 
 
 @dataclass(frozen=True, slots=True)
 class HuntedLaw:
-    """A law: its name, its statement, the condition under which a run violates the law, and its scenes."""
+    """A law: its name, its statement, the condition under which a run violates it, and the scenes that it covers."""
 
     name: str
     says: str
@@ -83,13 +83,13 @@ def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
 
 ALONE = HuntedLaw(
     "alone", "the bits do not depend on what ran before in the process", "", lambda *_: True
-)  # `--alone` judges this law
+)  # checked only with `--alone`
 REFINED = HuntedLaw(
     "shorter steps",
     "with default steps, steps a quarter as long tell the same story",
     "shorter steps differ",
     lambda *_: True,
-)  # the scene that `by_default` returns is judged
+)  # checked on the scene that `by_default` returns
 ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda *_: True)
 LAWS = [
     ERROR,
@@ -136,7 +136,7 @@ LAWS = [
 ]
 
 
-# keys, by section, that choose a method or its steps; with their defaults, refinements keep their tolerances
+# keys, by section, that choose a method or its steps; with their defaults, shorter steps stay within the tolerances
 _METHOD = {
     "time": ("max_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "fixed_dt", "integrator"),
     "contact": ("timing", "stabilisation", "sweeps", "solver", "colouring"),
@@ -153,7 +153,7 @@ def by_default(document: Document) -> Document | None:
     return changed
 
 
-AUDIT = 1e-9  # largest relative speed that impulses do not explain: some 10⁶ roundings
+AUDIT = 1e-9  # largest relative speed that impulses do not explain: some 10⁷ roundings
 SHARE = 0.2  # fraction of the budget for shrinking a single miss
 LONGEST = 60.0  # s, time limit for shrinking a single miss
 
@@ -215,7 +215,7 @@ class Hunt:
         output_folder(self.folder)
 
     def hunt(self) -> Tally:
-        """Hunt until the budget is spent, all scenes are judged, or the user ends the hunt."""
+        """Hunt until the budget is spent, all scenes are checked, or the user ends the hunt."""
         try:
             with Interrupts() as interrupts:
                 budget = Budget(self.seconds, interrupts)
@@ -229,7 +229,7 @@ class Hunt:
             self.tally.stopped = str(ended)
         finally:
             if self._new:
-                with contextlib.suppress(OSError):  # a folder that holds misses remains
+                with contextlib.suppress(OSError):  # a folder that contains misses stays
                     self.folder.rmdir()
         return self.tally
 
@@ -270,7 +270,7 @@ class Hunt:
             return [Finding(ERROR, condition_from(ERROR.condition), index, scene, said_by(error))]
 
     def _moves(self, index: int, document: Document, budget: Budget) -> list[Finding]:
-        """Compare a scene at default steps with shorter steps."""
+        """Compare a run with default steps to a run with shorter steps."""
         changed = by_default(document)
         if changed is None:
             return []

@@ -14,7 +14,7 @@ from carom.lab.hunt.documents import Document, Draw, Scales, decade, direction, 
 SPEEDS = (1e-3, 0.1, 1.0, 5.0)  # speeds of the bodies, in units of the scene's speed
 PITCH = (2.01, 2.5)  # distances of neighbours on the lattice, in radii
 ROOM = 1.8  # extent of a boundary, relative to the extent of the bodies
-CROSSINGS = 3.0  # how often a body crosses its radius in a run, at the scene's speed
+CROSSINGS = 3.0  # number of radii that a body crosses in a run at the scene's speed
 
 
 def enclosed(draw: Draw, scale: Scales) -> Document:

@@ -31,9 +31,9 @@ from carom.lab.hunt.random_boundaries import enclosed, poured
 from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
-DRIFT = 10.0  # speed common to all bodies; the scale of errors excludes the rounding of its energy
-MOST_FIXED = 200  # most steps of a fixed length
-# in one of so many scenes, bodies enter and perhaps leave; that scene has its own random numbers
+DRIFT = 10.0  # common speed of all bodies, in usual speeds; small, since the energy scale excludes its rounding
+MOST_FIXED = 200  # largest number of steps in a run with a fixed step
+# one in this many scenes has bodies that enter and perhaps leave; such a scene has its own random numbers
 SCENES_FOR_A_POUR = 12
 SMOOTH_STEPS = 20
 ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators of order two or more
@@ -236,10 +236,10 @@ def _crowd(draw: Draw, scale: Scales) -> Document:
 
 
 def _column(draw: Draw, scale: Scales) -> Document:
-    """Draw a column that gets heavier upwards, by masses or by radii of one density, over a plane or a wall."""
+    """Draw a column whose bodies get heavier upwards, by mass alone or by radius, over a plane or a wall."""
     L, U, M = scale
     count, gap, aside = draw.integer(2, 5), draw.choice(0.0, 1e-3, 0.01, 0.05), draw.choice(0.0, 0.0, 1e-9, 1e-3)
-    # decades per ball; if the whole ratio exceeds 10⁶, rounding shows in the ledger
+    # decades of mass per ball; if the total ratio exceeds 10⁶, rounding shows in the ledger
     decades = draw.choice(1.0, 3.0, 6.0) / (count - 1)
     bodies: list[Document] = []
     z, grows = 0.0, draw.choice(False, True)

@@ -212,7 +212,7 @@ class Met(Condition):
 
 @dataclass(frozen=True, slots=True)
 class Sunk(Condition):
-    """An overlap that lasts, see `Touches`."""
+    """An overlap that lasts; see `Touches`."""
 
     def pinned(self, seen: Observation) -> Sunk:
         """Return the condition for any pair."""
@@ -221,7 +221,7 @@ class Sunk(Condition):
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether such an overlap exists."""
+        """Return whether an overlap lasts."""
         return not seen.error and bool(seen.touches.sunk)
 
     def said(self, seen: Observation) -> str:
@@ -268,7 +268,7 @@ class Warned(Condition):
 
 @dataclass(frozen=True, slots=True)
 class Failed(Condition):
-    """The end of a run by an error."""
+    """A run that ends with an error."""
 
     message: str = ""  # message without numbers and names of bodies; empty: any message
     stated: bool = True  # whether a PhysicsError, which states a reason, also counts as a failure

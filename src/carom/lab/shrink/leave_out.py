@@ -105,8 +105,7 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
     return kept
 
 
-# Drops parts of the model in the order of their requirements, then every key with whose default value the scene still
-# fails.
+# Drops parts of the model in the order of their requirements, then each key if the scene still fails with its default.
 _KEPT = {("title",), ("time", "duration")}  # keys that are never dropped
 _KEPT_OF_BODIES = {"name", "position"}
 _LISTS = ("plane", "wall", "pair", "material")  # lists of tables other than the bodies
@@ -208,7 +207,7 @@ def _of_all_bodies(smallest: Smallest, key: str) -> Document:
 
 # Writes every number with the fewest digits that still show the failure.
 MOST_DIGITS = 17
-_FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that tie the scene to a position or to a frame at rest
+_FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that tie the scene to a position or a frame of reference
 _NOT_ROUNDED = {"expect"}  # sections whose numbers define a failure
 
 
@@ -264,7 +263,7 @@ def _tidy(document: Document) -> Document:
 
 
 def _paths(node: object, above: KeyPath = ()) -> Iterator[KeyPath]:
-    """Yield the paths of all numbers with a fraction; whole numbers are counts."""
+    """Yield the paths of all floating-point numbers; integers are counts."""
     if isinstance(node, dict):
         for key, value in node.items():
             yield from _paths(value, (*above, key)) if key not in _NOT_ROUNDED else ()

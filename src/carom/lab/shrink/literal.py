@@ -49,7 +49,7 @@ class BodyStates:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Size in bytes."""
         return self.position.nbytes * (2 if self.spin is None else 3)
 
 
@@ -143,7 +143,7 @@ def value_at(document: Document, path: KeyPath) -> Any:
 
 
 def _inertia_factor(start: InitialBodies, k: int) -> float:
-    """Return I/(m r²) without the rounding of the product."""
+    """Return I/(m r²), or exactly the factor of a solid sphere if it differs only by rounding."""
     if start.mass[k] == 0.0:
         return SOLID
     factor = float(start.inertia[k]) / (float(start.mass[k]) * float(start.radius[k]) * float(start.radius[k]))

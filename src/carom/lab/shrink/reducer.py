@@ -22,7 +22,7 @@ from carom.state.frame import Frame
 
 ROOM = 200_000_000  # most bytes for stored states of a run
 ROUNDING = 1e-9  # fraction of the duration by which a sum of steps may fall short
-STEPS_AFTER = (0, 1, 3)  # numbers of steps added after the failure, since a shorter run has other steps
+STEPS_AFTER = (0, 1, 3)  # numbers of steps added after the failure, since a shorter run may have different steps
 
 
 @dataclass(slots=True)
@@ -227,7 +227,7 @@ class Reducer:
     def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
         """Run the scene up to the failure; return it with bodies written out, and the first pass over its time."""
         trials.budget.check()
-        threads = 1 if trials.condition.of_whole_run else None  # None, since the condition compares numbers of threads
+        threads = 1 if trials.condition.of_whole_run else None  # compared with a run on two threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
         kept, seen = chronicle(space, trials, first=trials.condition.check)
         trials.condition = trials.condition.pinned(seen)

@@ -20,7 +20,7 @@ from carom.scene.wording import counted, escaped
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
 )
-_HEAD = 10_000  # characters at the beginning of a file in which the mark is searched
+_HEAD = 10_000  # number of characters at the beginning of a file that are searched for the mark
 
 
 def key_of(scene_toml: str, condition: str) -> str:

@@ -1,4 +1,4 @@
-"""Judges candidates within a budget, here or in several processes; `Smallest` keeps the smallest that still fails."""
+"""Tests candidates within a budget, in one or several processes; `Smallest` keeps the smallest that still fails."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Condition(ABC):
     def check(self, seen: Observation) -> None:  # noqa: B027 - without names there is nothing to check
         """Check the names at the first frame of the run.
 
-        Raises ExperimentError if the condition uses an unknown name; the message has the nearest known one.
+        Raises ExperimentError if the condition uses an unknown name; the message suggests the nearest known name.
         """
 
     @abstractmethod
@@ -69,7 +69,7 @@ class OutOfTime(Exception):  # noqa: N818 - not an error: the smallest scene so 
 
 
 class Budget:
-    """The time of a reduction in s, infinite without a limit; the user may end it earlier."""
+    """The time of a reduction in s, infinite without a limit; the user may end the reduction earlier."""
 
     def __init__(self, seconds: float, interrupts: Interrupts) -> None:
         self._began = time.monotonic()
@@ -130,7 +130,7 @@ class EveryUpTo(Every):
         return step == self.last or Every.__call__(self, step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the step and the time (s) before which no frame is due."""
+        """Return for how many steps and until when (s) no frame is due."""
         steps, until = Every.quiet(self, step, time)
         return min(steps, max(1, self.last - step)), until
 
@@ -145,8 +145,8 @@ def observe(
 ) -> Observation | None:
     """Run a space from its start and return the observation of its end; None if the run is abandoned after ``steps``.
 
-    ``each`` is called at each frame with the observation so far, and returns whether to continue. The default schedule
-    of the frames is the schedule of the scene. Raises `OutOfTime` if the budget ends before the run.
+    ``each`` is called at each frame with the observation so far, and returns whether to continue. By default, frames
+    follow the schedule of the scene. Raises `OutOfTime` if the budget ends before the run.
     """
     interval = auto.frame_interval(space.scene)
     schedule = schedule or (Every(interval) if steps is None else EveryUpTo(interval, steps))
@@ -173,14 +173,14 @@ def observe(
 
 @dataclass(slots=True)
 class Trials:
-    """Judges candidates and remembers the verdicts. Raises `OutOfTime` when time has run out."""
+    """Tests candidates and remembers the rejected ones. Raises `OutOfTime` when time has run out."""
 
     condition: Condition  # the failure to keep
     budget: Budget
     steps: int = FEWEST_STEPS  # steps of the smallest scene so far
     count: int = 0  # candidates that ran
     watch: Callable[[], None] = lambda: None  # called before each candidate runs
-    judges: Judges | None = None  # processes that judge several candidates at a time if a candidate takes long
+    judges: Judges | None = None  # processes that test several candidates at a time if a candidate takes long
     _seconds: float = 0.0  # s, duration of the last candidate
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show the failure
 
@@ -205,8 +205,8 @@ class Trials:
     def promising(self, documents: list[Document], number: int) -> int | None:
         """Return the number of the next candidate that may show the failure; None if there is none.
 
-        Without judges, this is simply the next candidate. Judges work ahead, so with them it is the first candidate
-        that shows the failure.
+        Without judges, this is simply the next candidate. Judges test candidates ahead, so with judges it is the first
+        candidate that shows the failure.
         """
         rest = documents[number:]
         if self.judges is None or not self.judges.pay(self._seconds, len(rest)):
@@ -237,8 +237,8 @@ class Trials:
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
-START = 6.0  # s, about twice the time in which workers start
-MIN_SECONDS_TO_SEND = 0.05  # s, s, shortest run that is sent to a worker; sending takes about as long
+START = 6.0  # s, about twice the time that workers take to start
+MIN_SECONDS_TO_SEND = 0.05  # s, shortest run that is sent to a worker; sending takes about as long
 AHEAD = 2  # candidates sent ahead to each worker
 _TICK = 0.1  # s between two checks of the budget
 
@@ -259,7 +259,7 @@ def execute(task: Task) -> bool:
 
 
 class Judges:
-    """Processes that judge candidates, started once candidates take long enough; ``None`` means one for each core.
+    """Processes that test candidates, started once candidates take long enough; ``None`` means one for each core.
 
     The result does not depend on the processes: among several candidates, the first in order that shows the failure is
     chosen.
@@ -318,8 +318,8 @@ class Judges:
 class Smallest:
     """The smallest scene so far that shows the failure.
 
-    The first smallest scene is a document that shows the failure, with the observation of its run. A candidate that
-    still shows the failure replaces the smallest scene; ``taken`` is called after each replacement.
+    It begins as a document that shows the failure, with the observation of its run. A candidate that still shows the
+    failure replaces the smallest scene; ``taken`` is called after each replacement.
     """
 
     def __init__(

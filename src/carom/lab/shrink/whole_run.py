@@ -3,8 +3,8 @@
 An invariance compares a scene with its image: the scene in other units, mirrored, translated, rotated or renumbered.
 The image must have the same motion. The image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in
 another order. Powers of two and changes of sign are exact in floating point, so images that use only these must have
-the same bits. Other images may deviate as much as runs from rounded initial states do, times a factor for the roundings
-in all steps.
+the same bits. Other images may deviate by as much as a run whose initial state is rounded, times a factor for the
+roundings in all steps.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from carom.state.checkpoint import Checkpoint
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # number of runs that measure the growth of roundings
-ROUNDINGS = 1e3  # allowed deviation of an image relative to these runs: an image is rounded in each step, not only once
+ROUNDINGS = 1e3  # allowed deviation of an image, in deviations of perturbed runs: it is rounded in every step, not once
 KNOWN = 1e-6  # largest growth of roundings, relative to the extent, for which there is a verdict
 FINER = 16  # factor on the number of steps: the error falls by 16 at order 1, by 256 at order 2
-FALLS = 64.0  # smallest decrease of the error by an integrator of order 2 or more
+FALLS = 64.0  # smallest factor by which the error must fall with an integrator of order 2 or more
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +55,9 @@ class Image:
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))  # orthogonal matrix A
     length: float = 1.0  # factor L
     mass: float = 1.0
-    time: float = 1.0  # T
-    shift: FloatArray = field(default_factory=lambda: np.zeros(3))  # s
-    boost: FloatArray = field(default_factory=lambda: np.zeros(3))  # u
+    time: float = 1.0  # factor T
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))  # m, vector s
+    boost: FloatArray = field(default_factory=lambda: np.zeros(3))  # m/s, vector u
     backwards: bool = False  # whether the order of bodies is reversed
     exact: bool = True  # whether the bits must be the same
 
@@ -245,7 +245,7 @@ def applies(name: str, scene: Scene) -> bool:
 
 
 def _by_arrays(scene: Scene) -> str:
-    """Compare the bits with a run of the same scene with bodies given as arrays."""
+    """Compare the bits of a scene with the bits of the same scene whose bodies are given as arrays."""
     start = place(scene)
     kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
     names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
@@ -432,7 +432,7 @@ def _ending(space: Space, error: str) -> tuple[int, int, str]:
 
 
 def _run(space: Space, middle: int = 0) -> tuple[tuple[int, int, str], Checkpoint | None]:
-    """Run a space to its end; return its final state, and the state after a step."""
+    """Run a space to its end; return its final state, and its state after step ``middle``."""
     kept = None
     try:
         for frame in space.run(schedule=every(0.0)):

@@ -317,7 +317,7 @@ class Interval:
 
     @property
     def contacts(self) -> ContactColumns:
-        """The lasting contacts of some frames, without impacts; raises `NothingThereError` if nothing lasts."""
+        """The lasting contacts of some frames, without impacts; raises `NothingThereError` if there are none."""
         self._require_contacts()
         if self.recording.engine and not self.recording.records_contacts:
             raise RecordingError(f"forces of contacts are not in this recording of {self.recording.engine}")
@@ -403,7 +403,7 @@ class Interval:
 
     @cached_property
     def velocities(self) -> FloatArray:
-        """Exact velocities at some moments, (k, n, 3) m/s, relative to the flow of a sheared box; NaN if absent."""
+        """Exact velocities at k times, (k, n, 3) m/s, relative to the flow of a sheared box; NaN for absent bodies."""
         most = max(1, min(MOST_STATES, MOST_VELOCITIES // self.bodies))
         if self.replay:
             window = rerun(self.recording, float(self.time[0]), watch=self.watch)
@@ -426,5 +426,5 @@ def _vectors(table: pa.Table | Records, names: tuple[str, str, str]) -> FloatArr
 
 
 def _pairs(rows: Records) -> IntArray:
-    """Return a number for the pair of each contact, (k,)."""
+    """Return a number that identifies the pair of each contact, (k,)."""
     return np.asarray(rows["i"].astype(np.int64) << 32 | rows["j"].astype(np.int64))

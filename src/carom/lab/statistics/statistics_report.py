@@ -40,7 +40,7 @@ KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name →
 }
 MOST_ROWS = 12  # most rows of a printed table
 COLUMNS = 3
-FEWEST_BINS = 3  # fewest bins of a panel; fewer show no shape
+FEWEST_BINS = 3  # smallest number of bins of a panel; fewer bins show no shape
 PANEL = 3.5, 2.7  # width and height of a panel in inches
 MEASURED, THEORY = "#0072b2", "#d55e00"
 
@@ -55,7 +55,7 @@ class Statistics(NamedTuple):
     def of(
         cls, recording: Recording, start: float | None, end: float | None, replay: bool, watch: Watcher
     ) -> Statistics:
-        """Measure all statistics between two times (s); raises RecordingError if the data suffice for none."""
+        """Measure all statistics between two times (s); raises RecordingError if the data suffice for none of them."""
         interval = Interval.of(recording, start, end, replay, watch)
         kinds = dict[str, Statistic]()
         for name, (_, measure) in KINDS.items():

@@ -260,7 +260,7 @@ def _table(folder: Path, conditions: list[str], sort: str | None, columns: str |
 
 
 def _column(key: str, rows: list[Row]) -> ShownColumn:
-    """Return a column of the table; runs that are not done stand out in it."""
+    """Return a column of the table, in which runs that are not done stand out."""
 
     def cell(row: Row) -> str | None:
         value = f"{row[key]:.6g}" if isinstance(row[key], float) else None if row[key] is None else str(row[key])

@@ -18,7 +18,7 @@ from carom.errors import ExperimentError
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s, time limit for connecting
-_ANSWER = 60.0  # s, longest wait for an answer of the scheduler
+_ANSWER = 60.0  # s, longest wait for an answer from the scheduler
 _RETRIES = 3  # attempts to repeat a task whose result does not arrive
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
@@ -30,7 +30,7 @@ class DaskWorkers:
 
     def __init__(self, address: str) -> None:
         self._address = address  # such as tcp://10.0.0.1:8786
-        self._keys: dict[str, Any] = {}  # our keys of the tasks, by Dask's keys
+        self._keys: dict[str, Any] = {}  # carom's keys of the tasks, by Dask's keys
         self._futures: dict[str, Future[Any]] = {}  # futures that have not ended yet, by Dask's keys
         # not a SimpleQueue: its wait with a timeout never ends if a signal arrives during the wait
         self._done: queue.Queue[Future[Any]] = queue.Queue()

@@ -235,8 +235,8 @@ class Manifest:
     def begin(cls, folder: Folder, plan: Plan, command: str) -> Self:
         """Continue a sweep, or begin one; completed runs are kept.
 
-        Raises ExperimentError if the folder holds another scene, or a sweep of another scene, of other keys, or of
-        another version.
+        Raises ExperimentError if the folder holds another scene, or a sweep with another scene, other keys or another
+        version of carom.
         """
         known: dict[str, SweepRun] = {}
         files: set[str] = set()
@@ -275,7 +275,7 @@ class Manifest:
         folder.make()
         # the manifest is written before the files that it lists, so that every file of a sweep has a manifest
         begun.save()
-        # the data files of the scene are copied, for workers on other machines and for later
+        # the data files of the scene are copied, for workers on other machines and for later use
         for name, source in plan.files.items():
             target = folder.data / name
             output_folder(target.parent)
@@ -396,7 +396,7 @@ def _int64(digits: str) -> int:
 
 
 def clear(folder: Folder) -> None:
-    """Remove only the runs and files that the manifest of a folder lists, and the manifest last."""
+    """Remove only the runs and files that the manifest of a folder lists, and finally the manifest."""
     stored = read(folder)
     ours = {run.name for run in stored.runs}
     folder.clear_partial(ours)

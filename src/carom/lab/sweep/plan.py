@@ -18,7 +18,7 @@ from carom.scene.data.body_sources import HeldBodies
 from carom.scene.load import Scene, scene_from_text
 
 SEED = "seed"
-_LONGEST_NAME = 120  # most characters of a run's name; a file's name may have 255, and the name of an attempt is longer
+_LONGEST_NAME = 120  # most characters of a run's name; an attempt's name is longer, and a file name may have 255
 _FILE = re.compile(r"bodies\.\d+\.file")
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 
@@ -33,7 +33,7 @@ class SweepPoint:
 
     @property
     def overrides(self) -> list[str]:
-        """The changes to the scene, as ``--set`` takes them."""
+        """The changes to the scene, in the form of ``--set``."""
         return [variation.override(key, value) for key, value in {**self.parameters, SEED: self.seed}.items()]
 
 

@@ -1,4 +1,4 @@
-"""A sweep from its plan to its table: workers run the members, and the workers' reports go into the manifest.
+"""A sweep from its plan to its table: workers make the runs, and their reports go into the manifest.
 
 A run has the same bits in any worker process on any machine.
 """
@@ -35,7 +35,7 @@ from carom.terminal.printing import finite
 Report = dict[str, Any]  # fields of `SweepRun`
 
 _WHOLE = ("completed", "expectation missed")  # outcomes of complete runs
-_NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # sections of a recording's summary that are no results
+_NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # sections of a recording's summary that are not results
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"
 _TICK = 0.2  # s between two updates of a running sweep
@@ -53,7 +53,7 @@ class SweepTask:
 
 
 def execute(task: SweepTask) -> Report:
-    """Run a member, or find its recording; return a report, which contains any error."""
+    """Make a run of a sweep, or find its recording; return a report, which contains any error."""
     began = time.perf_counter()
     folder = Folder(Path(task.root))
     try:
@@ -139,7 +139,7 @@ def _granular(recording: Recording) -> dict[str, float]:
     """Return the granular temperature and the stress of the second half of a run, if the recording has them."""
     try:
         late_means = registry.imported("carom.lab.statistics.late_means:late_means")
-    except ExtensionError:  # a removable part of carom raised the error
+    except ExtensionError:  # the statistics, a removable part of carom, are missing
         return {}
     try:
         return {key: finite(value) for key, value in late_means(recording).items()}

@@ -141,7 +141,7 @@ def opened(
     budget: float | None,
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
-    """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
+    """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without that option)."""
     from carom.lab.tradeoff.settings_grid import vary as grid
     from carom.lab.tradeoff.tradeoff import ADVICE, Study
     from carom.scene.load import Scene
@@ -398,7 +398,7 @@ def tune_command(
 
 
 def _extent(tuning: Tuning, errors: Collection[str]) -> str:
-    """Say up to which time errors are compared with the reference; empty if to the end of the scene."""
+    """Say up to which time errors are compared with the reference; empty if it is the end of the scene."""
     reference, units = tuning.study.reference, tuning.study.scene.unit_system
     compared = {*TO_THE_HORIZON, *(() if reference is None or reference.whole else STATISTICS)}
     if reference is None or reference.is_complete or not compared & set(errors):

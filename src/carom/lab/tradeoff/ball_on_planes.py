@@ -4,8 +4,8 @@ The reference shares no code with the engine. Between events the acceleration of
 In flight, drag gives k = 1/τ. For a rolling ball, a and k are smaller, since friction also has to spin the ball.
 Flights and rolling have closed forms, whose roots are the times of impacts. A sliding ball changes its direction, so
 DOP853 integrates it up to the moment at which its contact point stands still. A ball that bounces ever lower comes to
-rest after infinitely many impacts; the reference holds the ball after the first impact that leaves less than `AT_REST`
-of its speed.
+rest after infinitely many impacts; the reference keeps the ball on the plane after the first impact that leaves less
+than `AT_REST` of its speed.
 """
 
 from __future__ import annotations
@@ -175,7 +175,7 @@ class _Ball:
         return np.asarray(self.field + self.rate * wind)
 
     def _is_held(self, plane: int) -> bool:
-        """Return whether a touched plane holds the ball: nothing lifts the ball, and the forces press it."""
+        """Return whether a touched plane holds the ball: nothing lifts the ball, and forces press it onto the plane."""
         n = self.normal[plane]
         return bool(n @ self.v <= AT_REST * self.speed and n @ self._acceleration() < 0.0)
 
@@ -271,7 +271,7 @@ class _Ball:
         elif len(self.offset) > 1:
             self.ended = f"the ball slides along a curve between several planes from {self._now} on"
         else:
-            most = speed / (friction * (1.0 + self.turned) + float(np.linalg.norm(along)))  # s, shortest remaining slip
+            most = speed / (friction * (1.0 + self.turned) + float(np.linalg.norm(along)))  # s, least duration of slip
             until = min(self._due(), end, self.t + most / 2)
             solver = DOP853(
                 lambda _, y: self._sliding(y, n, friction),

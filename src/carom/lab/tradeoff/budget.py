@@ -1,8 +1,7 @@
 """The time that a study may take, and the choice of settings worth timing: settings that may be on the front.
 
-A setting is left out before its first run if another setting has longer steps and rounding errors alone.
-A setting is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the front is
-uncertain.
+A setting is left out before its first run if another setting has longer steps, and no errors except rounding. A setting
+is not timed if another setting is as accurate and clearly cheaper. Timings are repeated where the front is uncertain.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ PRECISION = 0.05  # relative precision of a median
 TIMINGS = 3  # timings of each setting that may be on the front
 MOST_TIMINGS = 60  # most timings of a short run
 ALONE = 0.3  # relative noise that a single timing may have: 0.26 was measured for runs of some milliseconds
-CHEAPER = 3.0  # smallest ratio of an untimed setting's estimated cost to a rival's cost; estimates err by less
+CHEAPER = 3.0  # ratio of a setting's estimated cost to a rival's from which it is not timed; estimates err by less
 ROUNDING = 1e-11  # largest error that counts as rounding of a long run, which shorter steps do not reduce
 
 
@@ -42,7 +41,7 @@ class StudyBudget:
         self._watch = self._watch or Stopwatch()
 
     def choose(self, run: float) -> None:
-        """Choose the default budget for a scene whose run takes some seconds."""
+        """Choose the default budget for a scene whose run takes ``run`` seconds."""
         self.seconds = max(LEAST, RUNS * run)
 
     @property

@@ -1,10 +1,10 @@
 """Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
 SciPy's DOP853 integrates the forces with tolerances near round-off, from contact to contact. If two bodies may meet in
-a step, conservative advancement finds their first contact. The bodies cannot meet before the gap divided by a bound of
-the closing speed, so no contact is missed. The time of contact is then refined with steps from the same beginning, and
-`physics/reference_api.py` resolves the contact. Samples do not shorten the steps. Each sample is a separate, shorter
-step, which is more accurate than DOP853's interpolation.
+a step, conservative advancement finds their first contact. The bodies cannot meet in less time than the gap divided by
+an upper bound of the closing speed, so no contact is missed. The time of contact is then refined with steps from the
+same initial state, and `physics/reference_api.py` resolves the contact. Samples do not shorten the steps. Each sample
+is a separate, shorter step, which is more accurate than DOP853's interpolation.
 
 Bodies may stay in contact without force, as after a plastic impact; the next impact on one of these bodies acts on all
 of them. The solution ends where a force presses touching bodies together or where contacts accumulate, because lasting
@@ -114,7 +114,7 @@ class _Solver:
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
         self._near = TOUCHING * self._reach  # (pairs,) m, largest gap of a contact
-        # (pairs,) pairs that touch at the start have no first contact
+        # (pairs,) whether a pair touches at the start; such a pair has no first contact
         self._touched = self._gaps(self._state()) <= self._near
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, positions at each sample so far

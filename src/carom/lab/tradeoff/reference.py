@@ -1,10 +1,10 @@
 """The reference for measuring the settings of a scene: an exact solution, or the scene with smaller steps.
 
-One ball between planes has closed forms (`ball_on_planes.py`). Two further solutions, whose starts are displaced by
-rounding errors, are checks.
+The motion of one ball between planes has closed forms (`ball_on_planes.py`). Two further solutions, whose starts are
+displaced by rounding errors, serve as checks.
 
-A few bodies in open space are solved exactly (`event_driven_reference.py`). Again two further solutions are checks.
-The starts of these runs are displaced by rounding errors, which shows how fast chaos separates the runs, and one has a
+A few bodies in open space are solved exactly (`event_driven_reference.py`). Again, two further solutions serve as
+checks. Their starts are displaced by rounding errors, which shows how fast chaos separates the runs; one of them has a
 tolerance ten times looser. Other scenes are run with smaller and smaller steps, halved from run to run. Without forces,
 flights are exact and only times of impact can be wrong, so these runs locate times of impact within the step. The last
 run is the reference, and the run before it is the check.
@@ -48,7 +48,7 @@ class Errors:
     position: float
     velocity: float  # rms velocity error of all bodies and samples, relative to the speed of the system
     impact: float  # s, rms error in the time of the first contact of pairs that met before the horizon
-    # number of these pairs that the run does not let meet by then; `impact` counts them as meeting at the horizon
+    # number of these pairs that do not meet by the horizon in the run; `impact` counts them as meeting at the horizon
     missed: float
     energy: float  # largest |integration error| in the ledger, relative to the energy scale
     energy_gain: float  # largest rise of the total energy above its previous minimum, relative to the energy scale
@@ -121,7 +121,7 @@ class ErrorScale:
         return cls(length, speed or length / float(trajectory.time[-1]), box)
 
     def apart(self, a: Trajectory, b: Trajectory) -> tuple[FloatArray, FloatArray]:
-        """Return the rms distance of two runs in position and in velocity at each common sample, over the scale."""
+        """Return the rms distance of two runs in position and velocity at each common sample, divided by the scale."""
         count = min(len(a), len(b))
         d = a.position[:count] - b.position[:count]
         if self.box is not None:
@@ -164,7 +164,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
 
 
 def _over_time(name: str, errors: FloatArray, reaches_end: bool) -> dict[str, float]:
-    """Return the measures of an error over the samples; ``reaches_end``: the last sample is the end."""
+    """Return the measures of an error over the samples; ``reaches_end``: whether the last sample is the end."""
     largest = float(np.abs(errors).max()) if len(errors) else np.nan
     end = float(abs(errors[-1])) if len(errors) and reaches_end else np.nan
     return {name: _total(errors), f"{name}_max": largest, f"{name}_end": end}
@@ -198,9 +198,9 @@ AGREEMENT = 1e-3  # distance, in sizes of the system, at which refinements disag
 LOOSER = 10.0  # ratio of the tolerances of the second and the first exact solution
 GAIN = 1.1  # refinement ends when it extends the horizon by a smaller factor
 BUDGET = 120.0  # s, computing time for a reference
-# bodies up to which a scene with a tree has a direct sum as reference; with more, a tree with `FINE_ANGLE`
+# number of bodies up to which the reference of a scene with a tree is a direct sum; above it, `FINE_ANGLE` applies
 DIRECT_UP_TO = 20_000
-FINE_ANGLE = 0.2  # rad; a twentieth of the tree's error at the default angle
+FINE_ANGLE = 0.2  # rad; the tree's error is a twentieth of its error at the default angle
 
 Teller = Callable[[str], None]
 
@@ -241,8 +241,8 @@ def make_reference(
 ) -> Reference:
     """Make the reference of a scene. Raises SceneError or PhysicsError if a run fails.
 
-    A refined reference begins with half of the smallest compared step, which is the scene's step over ``finest``. If
-    the next solution, with half the step, would exceed the ``budget`` (s of computing), the check has twice the step
+    A refined reference begins with half of the smallest compared step, which is the scene's step divided by ``finest``.
+    If the next solution, with half the step, would exceed the ``budget`` (s of computing), the check has twice the step
     instead. An exact solution ends after a third of the budget. ``tell`` receives a sentence before each solution.
     """
     tell = tell or (lambda text: None)
@@ -362,7 +362,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
     _, of_gravity = _finer_gravity(scene)
-    # s, the runs of a pile with other seeds, which have the steps of the scene
+    # s, time of a pile's runs with other seeds, which have the steps of the scene
     seeds = 0.0 if pile is None else SEEDS * watch.seconds / factor
     check_is_coarser = 3.0 * watch.seconds + seeds > budget  # a check with half the step would take too long
     while True:
@@ -391,7 +391,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 def _with_pile(
     scene: Scene, pile: Pile | None, reference: Reference, check: Trajectory, threads: int | None, tell: Teller
 ) -> Reference:
-    """To a reference that becomes uncertain during the run, add the settled pile, with its scatter between seeds."""
+    """Add the settled pile, with its scatter between seeds, to a reference that becomes uncertain during the run."""
     if pile is None or reference.is_complete:
         return reference
     others = []

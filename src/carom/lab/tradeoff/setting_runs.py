@@ -30,9 +30,9 @@ class SettingRuns:
     Parameters
     ----------
     threads
-        Number of threads for settings that give none; None for all cores.
+        Number of threads for settings that do not set it; None for all cores.
     limit
-        s of CPU time at which a run of another engine is stopped.
+        CPU time, in s, after which a run of another engine is stopped.
     """
 
     def __init__(self, scene: Scene, threads: int | None, limit: float) -> None:

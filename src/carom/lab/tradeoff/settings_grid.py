@@ -2,11 +2,11 @@
 
 A setting is on the front if no other setting beats it in both cost and error. Errors are the same in every run. Costs
 are noisy, so each cost is an interval. A setting is beaten if another setting has no larger error and a cost interval
-that lies entirely below. A setting is on the front if the cost intervals of all settings with no larger error lie
-entirely above its own. Otherwise the setting is undecided. If two measurements give overlapping intervals for each
-setting, no setting is on the front in one measurement and beaten in the other. A front of medians would change with
-every measurement of settings with equal costs. Unequal errors that differ by less than the uncertainty of the reference
-are not distinguished.
+that lies entirely below this setting's. A setting is on the front if the cost intervals of all settings with no larger
+error lie entirely above its own. Otherwise the setting is undecided. If two measurements give overlapping intervals for
+each setting, no setting is on the front in one measurement and beaten in the other. A front of medians would change
+with every measurement of settings with equal costs. Unequal errors that differ by less than the uncertainty of the
+reference are not distinguished.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ METHOD = (  # keys and sections that change how a scene is computed
     *(f"contact.{key}" for key in ("solver", "sweeps", "stabilisation", "colouring", "search", "timing", "sleep")),
     "model",
 )
-# 1.96 binomial deviations: × √n, this is the distance of ranks between the median and the ends of its 95 % interval
+# times √n, the number of ranks from the median to either end of its 95 % interval: 1.96 binomial deviations
 MEDIAN_INTERVAL = 0.98
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 
@@ -99,7 +99,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
                 found["gravity.quadrupoles"] = ("true", "false")
         else:
             found["gravity.method"] = ("tree",)
-    if scene.has_piston:  # scenes with pistons refuse other values of this key
+    if scene.has_piston:  # scenes with pistons refuse other values of these keys
         for key in ("time.integrator", "contact.solver"):
             found.pop(key, None)
     # the values of the scene, with automatic ones resolved
@@ -297,8 +297,8 @@ class SettingResult:
     def spread(self) -> float:
         """Half the 95 % interval of the median cost, relative to the median; 0 for a single cost.
 
-        The ends of the interval are two of the sorted costs, equally far from the first and the last cost. Up to eight
-        costs, it is their whole range; for fewer than six costs, it is less certain than 95 %.
+        The ends of the interval are two of the sorted costs, equally far from the first and the last cost. With up to
+        eight costs, it is their whole range; with fewer than six, its certainty is below 95 %.
         """
         if not self.costs:
             return 0.0

@@ -2,7 +2,7 @@
 
 No two runs of a pile agree in where each body ends. Within the scatter between seeds, runs do agree in the pile's
 height, density, number of contacts and energy, and in the time in which the pile comes to rest. This scatter is the
-uncertainty of the errors of a pile: a setting whose pile differs by less is as good as any other.
+uncertainty of the errors of a pile: a setting whose pile differs by less than the scatter is as good as any other.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carom.plan.features import require
 from carom.scene.load import Scene
 
 SEEDS = 4  # number of runs with other seeds that measure the scatter
-TOUCHING = 1e-3  # largest gap of a contact, in smaller radii
+TOUCHING = 1e-3  # largest gap of a contact, relative to the smaller radius
 AT_REST = 1e-6  # fraction of the largest kinetic energy below which a pile is at rest
 
 
@@ -28,7 +28,7 @@ class Settled(NamedTuple):
     """The settled state of a run."""
 
     height: float  # m, height of the centre of mass above the lowest point
-    density: float  # density of the bodies in a box around them, twice as high as their centre of mass
+    density: float  # fraction of a box that the bodies fill; the box is twice as high as their centre of volume
     coordination: float  # contacts with other bodies, per body
     settled_energy: float  # J, kinetic energy and energy in the field
     rest_time: float  # s, time from which the kinetic energy stays below `AT_REST`; the end if it never does
@@ -75,7 +75,7 @@ class Pile:
         )
 
     def errors(self, run: Trajectory, reference: Trajectory) -> dict[str, float]:
-        """Return the differences of the settled states: relative ones, in contacts per body, and in s."""
+        """Return the differences of the settled states: relative to the reference, in contacts per body, or in s."""
         if len(run) < len(reference):
             return {}
         found, exact = self.settled(run), self.settled(reference)

@@ -110,7 +110,7 @@ def reference_entry(reference: Reference) -> dict[str, Any]:
 
 
 def reference_of(entry: dict[str, Any], scene: Scene, trajectory: Trajectory) -> Reference:
-    """Read a reference; its trajectory is an argument."""
+    """Read a reference from its entry and its trajectory."""
     return Reference(
         trajectory,
         scale_of(scene, trajectory),

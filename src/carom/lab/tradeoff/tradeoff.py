@@ -84,14 +84,14 @@ class Study:
     advice
         Advice in the message if the folder contains another study.
     limit
-        s of CPU time at which a run is stopped, and s after which no reference begins.
+        CPU time, in s, after which a run is stopped, and limit of the time of a reference.
     files
         Names of the files that the command writes into the folder; existing files are not replaced before the folder
         has a study.
     bounded
-        Whether each setting is also stopped after a number of steps, see `WORK`, as which applies to default settings.
+        Whether each setting is also stopped after a number of steps (see `WORK`), as the default settings are.
     budget
-        s that all measurements may take; None for `RUNS` times the time that the scene takes as written.
+        Time, in s, that all measurements may take; None for `RUNS` times the time that the scene takes as written.
 
     Raises
     ------
@@ -242,7 +242,7 @@ class Study:
         return True
 
     def _run_time(self, tell: Teller) -> float:
-        """Return the time of the scene as written (s), for a budget; its kernels are loaded before."""
+        """Return the time (s) of the scene as written, which sets the budget; its kernels are already loaded."""
         written = self._written or SettingResult(AS_WRITTEN)
         if not written.costs:
             tell("as written: the time of a run")
@@ -263,7 +263,7 @@ class Study:
         return Errors(**{name: self.floor(name) for name in NAMES})
 
     def _exact_and_cheaper(self, scene: Scene) -> str:
-        """If a timed setting has rounding errors alone, and is cheaper than a scene with shorter steps, name it."""
+        """Name a timed setting that has only rounding errors and is cheaper than a scene with shorter steps, if any."""
         written = self._written
         finer = fineness(self.scene, scene)
         if written is None or not written.complete or finer <= 1.0:
@@ -279,7 +279,7 @@ class Study:
         )
 
     def _dominating(self, result: SettingResult) -> str:
-        """If a timed setting is as accurate as ``result``, and clearly cheaper than its estimate, name it."""
+        """Name a timed setting, if any, as accurate as ``result`` and clearly cheaper than its estimated cost."""
         written = self._written
         if written is None or result.errors is None or result.setting.engine or result.setting.threads:
             return ""
@@ -338,14 +338,14 @@ class Study:
         return self.reference
 
     def floor(self, error: str) -> float:
-        """Return the uncertainty by the reference or by rounding: smaller errors are not distinguished."""
+        """Return the uncertainty of an error, by the reference or by rounding; smaller errors are not distinguished."""
         value = getattr(self.reference.uncertainty, error) if self.reference and error in COMPARED else 0.0
         return float(np.fmax(value, ROUND_OFF))
 
     def marks(self, error: str, least_noise: float = 0.0) -> dict[str, str]:
         """Return "front", "near" (undecided) or "" (beaten) for each setting by name, for one kind of error.
 
-        ``least_noise`` is the least relative noise of every cost.
+        ``least_noise`` is a lower limit of the relative noise of every cost.
         """
         done = [result for result in self.results if result.complete and not result.same_as]
         cost = np.array([result.cost for result in done])

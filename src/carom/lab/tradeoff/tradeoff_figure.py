@@ -61,7 +61,7 @@ class Look(NamedTuple):
 def draw(document: dict[str, Any], *paths: Path, units: UnitSystem = SI) -> None:
     """Draw the document of a study into files (PNG, SVG, PDF); times of impacts are in the units of the scene.
 
-    Raises ExperimentError if matplotlib is not there, or nothing is measured.
+    Raises ExperimentError if matplotlib is not installed, or nothing is measured.
     """
     measured = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     done = [entry for entry in measured if not entry.get("same_as")]
@@ -143,7 +143,7 @@ def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
 
 
 def _short(entry: dict[str, Any]) -> str:
-    """Return the name of a setting without the values common to most."""
+    """Return the name of a setting without the key of its integrator."""
     return str(entry["name"]).replace("integrator = ", "")
 
 

@@ -115,7 +115,7 @@ class SettingSearch:
         return excess, self._see(point).cost if math.isfinite(excess) else math.inf
 
     def _excess(self, point: GridPoint) -> float:
-        """Return the factor by which the worst limit is missed; 0 if all are kept, infinite if one cannot be judged."""
+        """Return the factor by which the worst limit is missed; 0 if all are kept, infinite if one is not known."""
         return excess(self._study, self._see(GridPoint()), self._see(point), self._limits)
 
     def _see(self, point: GridPoint) -> SettingResult:
@@ -177,11 +177,11 @@ class Tuning:
 
     @property
     def best(self) -> SettingResult | None:
-        """The cheapest setting that keeps every limit and the scene's frames in a measurement; None without one.
+        """The cheapest setting measured to keep every limit and the scene's frames; None if there is none.
 
         If the scene as written also keeps them, and no other setting is certainly faster, the scene is the best
-        setting. An unmeasured error, such as a position beyond the horizon, keeps no limit. Neither is a limit below
-        the uncertainty of the reference kept, because such a limit cannot be checked.
+        setting. An error that is not measured, such as a position error beyond the horizon, keeps no limit. A limit
+        below the uncertainty of the reference is not kept either, because it cannot be checked.
         """
         if unsure(self.study, self.limits):
             return None
@@ -198,7 +198,7 @@ class Tuning:
 
     @property
     def speed_range(self) -> tuple[float, float]:
-        """The range of `speed`, by the uncertainties of both costs; NaN without costs."""
+        """The range of `speed` that the uncertainties of both costs allow; NaN without costs."""
         return (math.nan, math.nan) if self.best is None else self._gain(self.best)
 
     @property

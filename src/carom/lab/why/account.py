@@ -54,7 +54,7 @@ class Cause:
         return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, adjoins: bool) -> bool:
-        """Return whether this contact continues an earlier contact; ``adjoins``: one in the previous step."""
+        """Return whether this contact continues an earlier one; ``adjoins``: whether that is in the previous step."""
         goes_on = self.holds or (self.lasts and earlier.lasts)
         return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 

@@ -4,9 +4,9 @@ The velocity of each body of the question is divided into shares, whose sum is 1
 body itself carries the whole share. Going back in time, the share that a body carries is divided in two ways:
 
 - **Over a step**, forces are added to the impulses that hold contacts or stop them, so that a floor and the weight on
-the floor cancel. If the sum N makes the body faster, N contributed the share N·e / |v|, where e points along the
-velocity v after the step. This share is divided among the forces and contacts with a component along N, in
-  proportion to these components.
+  the floor cancel. If the sum N makes the body faster, N contributed the share N·e / |v|, where e points along the
+  velocity v after the step. This share is divided among the forces and contacts with a component along N, in proportion
+  to these components.
 - **Over an instant with impacts**, the share is divided among the velocity before and the impulses, in proportion to
   the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
   magnitudes count.
@@ -67,7 +67,7 @@ class Passage:
     impulse: float  # N s
     net: float  # share of the answer that passed from j to i, minus the share that passed from i to j
     turned: float  # share of the answer that a plane, a wall or a fixed body turned round
-    before_step: int  # the step before the first step of the answer
+    before_step: int  # the step before the earliest step of this impact
 
 
 @dataclass(slots=True)
@@ -90,7 +90,7 @@ class Cone:
     inverse_mass: FloatArray  # (n + p,) 1/kg
     count: int  # number of bodies, n
     drives: BoolArray  # (n + p,) whether a plane or wall moves on its own
-    weights: FloatArray  # (q,) weight in the answer of each body in the question
+    weights: FloatArray  # (q,) weight of each body of the question in the answer
     carried: FloatArray  # (n + p, q) share of each body's velocity that each end carries now
     forced: FloatArray  # (n, q) share that forces on each body contributed
     fielded: FloatArray  # (n, q) part of `forced` that another engine's uniform field contributed

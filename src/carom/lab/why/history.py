@@ -172,7 +172,7 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
     """Return a question about a body, given by number or name, or about an event, named as for `carom view`.
 
     The time ``at`` is in s; by default it is the end of the recording. Exactly one of a body and an event is required.
-    RecordingError if the body, the event or the moment does not exist.
+    Raises RecordingError if the body, the event or the moment does not exist.
     """
     if (body is None) == (event is None):
         raise RecordingError("choose a body with --body, or an impact with --event")

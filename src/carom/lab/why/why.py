@@ -1,4 +1,4 @@
-"""Answers why a body moves as it does, or why two bodies touch: runs the window before that moment again.
+"""Answers why a body moves as it does, or why two bodies touch: runs the window before the moment in question again.
 
 A recording of another engine is not run again; its recorded states and contact forces are read.
 """
@@ -116,7 +116,7 @@ def why(
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
-    """Answer a question from windows, the latest first; that one contains the moment. Masses are (n,) kg."""
+    """Answer a question from windows, the latest first, which contains the moment; masses are (n,) kg."""
     windows = iter(histories)
     back = _Backwards(question, next(windows), mass)
     for history in windows:
