@@ -38,7 +38,7 @@ from carom.physics.jit.instructions import from_front
 from carom.scene.schema import Coefficients
 
 # Largest overlap, relative to the sum of radii, that is not corrected further. The first value applies to contacts
-# whose impulses converge to rounding, the second for contacts whose iterations end with small changes. The next step
+# whose impulses converge to rounding, the second to contacts whose iterations end with small changes. The next step
 # corrects the remaining overlap.
 ENOUGH = 1e-9
 ENOUGH_AS_NEEDED = 1e-5
@@ -97,7 +97,7 @@ class ConstraintSystem(NamedTuple):
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: RecordArray[ContactRecord]  # (m,) contacts, or ROLLING_CONTACT if the law resists rolling
     held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
-    enough: FloatArray  # (m,) uncorrected overlap: `ENOUGH`, or where small changes suffice `ENOUGH_AS_NEEDED`
+    enough: FloatArray  # (m,) uncorrected overlap: `ENOUGH`, or `ENOUGH_AS_NEEDED` where small changes suffice
     small_change: FloatArray  # (m,) m/s, change of a contact's velocities below which it needs no further iteration
     states: RecordArray[ContactStateRecord]  # (m,)
     load_speed: FloatArray  # (m,) m/s, the largest acceleration in its island times the step; see `islands`

@@ -52,7 +52,7 @@ from carom.state.frame import empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-# most impacts stored between two frames, 15 MB; of more, the hardest are kept and all are counted
+# most impacts stored between two frames, 15 MB; if there are more, the hardest are kept, and all are counted
 MOST_IMPACTS = 100_000
 
 

@@ -131,8 +131,8 @@ def _farthest_nearby(surface: Any, solid: int, point: Vector) -> float:
 
 @with_field(TREE[0], _farthest_nearby)
 def farthest_nearby(surface: FloatArray, solid: int, point: Vector) -> float:
-    """Return a distance (m) within which a point has a facet: the farthest point of a leaf that is probably near.
+    """Return a distance (m) within which a point has a facet: to the farthest point of a leaf that is probably near.
 
-    A search for the nearest facet begins with it: without a limit, it would visit most of them.
+    A search for the nearest facet begins with this limit; without a limit, it would visit most facets.
     """
     return np.inf

@@ -102,7 +102,7 @@ class OptionalPart:
 
     entries: tuple[str, ...] = ()  # names of the part's ledger entries; a loss is positive
     pressing_energy = 0.0  # J, work of the part's loads along the smallest radius; the energy scale is at least that
-    needs_every_step = True  # whether `few_bodies` must not make steps, even where nothing touches
+    needs_every_step = True  # whether the part needs every step, so that `few_bodies` can make none
 
     # Between steps
 
@@ -145,7 +145,7 @@ class OptionalPart:
         return ()
 
     def losses(self) -> FloatArray:
-        """Return energies lost in the last step without a contact, (k, 3) J, by term of the ledger."""
+        """Return the energies lost in the last step that no contact has booked, (k, 3) J, by term of the ledger."""
         return NO_ENTRIES
 
     def lend(self, account: LedgerAccount) -> None:
@@ -187,7 +187,7 @@ class OptionalPart:
         """Move everything but bodies to the end of the step, and put back bodies that left the allowed space."""
 
     def search(self, step: PresentStep, others: Callable[[PresentStep], IntArray]) -> IntArray:
-        """Return the contacts, (m, 2), among the pairs that the search of ``others`` returns."""
+        """Return the contacts, (m, 2), among the pairs that the search ``others`` returns."""
         return others(step)
 
     def restarted(self) -> None:

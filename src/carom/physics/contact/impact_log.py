@@ -16,11 +16,11 @@ from carom.physics.aligned import columns
 from carom.physics.contact.records import ImpactRecord, RollingImpactRecord
 from carom.physics.diagnostics.ledger import terms_of
 
-ROUNDING = 1e-14  # an approach slower than this is rounding, relative to a body's speed and to one radius per drift
+ROUNDING = 1e-14  # closing speed that counts as rounding, relative to a body's speed and to one radius per drift
 MAX_IN_COLLAPSE = 100  # impacts in a drift after which a body is held, if e < 1 and no force presses
 # Number of impacts of a body in a drift after which it counts as rattling between bodies that press it, even if no
 # contact has yet carried a load. With e < 1, impacts of a rattling body slower than the load speed do not rebound.
-# Without this number, bodies in the densest steps of `hopper` have 1300 impacts instead of 160 and are exhausted.
+# Without this limit, bodies in the densest steps of `hopper` have 1300 impacts instead of 160 and are exhausted.
 MANY_IMPACTS = 30
 
 

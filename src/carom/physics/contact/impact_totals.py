@@ -64,7 +64,7 @@ class _Corners(NamedTuple):
 class ImpactTotals:
     """Adds up the impacts of a run from one frame to the next.
 
-    ``group``, (n,), has any number for each body; `ImpactSums.pairs` numbers the groups in ascending order.
+    ``group``, (n,), has an arbitrary number for each body; `ImpactSums.pairs` numbers the groups in ascending order.
     """
 
     def __init__(self, bodies: Bodies, group: IntArray, box: FloatArray, shear: ShearedBox | None = None) -> None:
@@ -159,7 +159,7 @@ def _end_paths(
     totals: RecordArray[ImpactTotalsRecord],
     kinetic: FloatArray,
 ) -> None:
-    """Follow all bodies to their present positions; write Σ m c ⊗ c of their present velocities."""
+    """End the paths of all bodies at their present positions; write Σ m c ⊗ c of their present velocities."""
     _, mass, moves, _, _, last, box = corners
     total, M, px, py, pz = totals[0], 0.0, 0.0, 0.0, 0.0
     for body in range(len(position)):

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 MESHED = 1.5  # contacts per body above which an island is meshed; a column or arch has about one, a heap two to three
 MOST_EXACT = 1024  # number of contacts up to which an island converges in every step
 
-UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; a contact has a rest speed
+UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; a contact has a load speed
 
 
 class Islands:
-    """Finds the island and the rest speed of each contact; keeps its tables.
+    """Finds the island and the load speed of each contact; keeps its tables from step to step.
 
     Threads join islands at the same time. The root is the lowest body in any case, so the result does not depend on
     their order.
@@ -51,7 +51,7 @@ class Islands:
     ends
         Number of bodies and planes.
     team
-        Threads that work.
+        Threads that share the work.
     """
 
     def __init__(self, ends: int, team: Team) -> None:
@@ -252,8 +252,8 @@ def island_load_speeds(
 ) -> None:
     """Write the load speed of each body, `PER_STEP` |a|max dt of its island, (n + p,) m/s.
 
-    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and also bodies near a guided wall. The load
-    speed of fixed ends is 0. The queue of events, which is empty before a drift, serves as workspace.
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined, and so are all bodies near a guided wall. The
+    load speed of fixed ends is 0. The queue of events, which is empty before a drift, serves as workspace.
     """
     x, radius, inverse_mass, speeds, parent, n = T.x, T.radius, T.inverse_mass, T.load_speed, T.queue, len(T.x)
     T.drift[0].loading = dt
@@ -293,7 +293,7 @@ def _join_through_wall(p: int, speed: float, scale: float, skin: float, T: Traje
 
 @inner
 def root_of(parent: IntArray, i: int) -> int:
-    """Return the lowest body in the set of a body; halves the path to it."""
+    """Return the lowest body in the set of a body, and halve the path to it."""
     while parent[i] != i:
         parent[i] = parent[from_front(parent[i])]
         i = from_front(parent[i])

@@ -15,7 +15,7 @@ of their arguments. The other arguments are
 All laws share three things:
 
 - Normal impulses are repulsive, λ_n ≥ 0: the solver relies on this. A law with adhesion would need changes wherever the
-solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
+  solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
 - The warm start keeps one normal and one tangential impulse, `IMPULSES`, and one angular impulse (`rolling`).
 - The ledger books the energy removed by the normal impulse as restitution, and the remaining loss as friction.
 
@@ -60,7 +60,7 @@ def materials_of(pairs: PairCoefficients, owner: IntArray | None = None) -> Mate
     """Return the coefficients of each pair as records.
 
     ``owner``, (p + f,), is the number of the plane or wall whose coefficients apply to each end that is not a body; by
-    default, each end has its own.
+    default, each such end has its own coefficients.
     """
     places, kept = pairs.places, np.arange(len(pairs.rows))
     if owner is not None and len(places):

@@ -9,9 +9,9 @@ pair along its normal is
 where the sums are over the contacts of a body in the last kick h, J are the contacts' impulses on the body, and λ are
 their normal impulses. The first term is the relative acceleration, without the contacts (a) and with them (b). With the
 contacts, each body counts by itself: two bodies of a high column may still fall alike, but will be stopped one after
-the other. The second term is the load that contacts carry along the normal: in a pile, where nothing
-accelerates, a body that leaves one contact is pressed back by the others. Marbles side by side on a floor carry a load,
-but none along their common normal, so they bounce at any speed.
+the other. The second term is the load that contacts carry along the normal: in a pile, where nothing accelerates, a
+body that leaves one contact is pressed back by the others. Marbles side by side on a floor carry a load, but none along
+their common normal, so they bounce at any speed.
 
 The rest speed is `PER_STEP` A dt, and at most the load speed of the island (`islands`): no load accelerates a body more
 than the largest acceleration.

@@ -32,7 +32,7 @@ MOTION = ("motion_spin_x", "motion_spin_y", "motion_spin_z", "motion_x", "motion
 
 
 def slip_on_wall(contact: Any, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
-    """Return the slip u in m/s, given the slip on a wall at rest; it is called with vectors of doubles, too."""
+    """Return the slip u in m/s, given the slip on a wall at rest; vectors of doubles are accepted, too."""
     if not hasattr(contact, "surface_x"):
         return ux, uy, uz
     return ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z

@@ -42,7 +42,7 @@ FEWEST_FACETS = 4  # space for facets near a body; doubled when it is exceeded
 
 @dataclass(frozen=True, slots=True)
 class ContactWorld:
-    """The data besides the bodies that the contacts of a scene depend on."""
+    """The data, besides the bodies, on which the contacts of a scene depend."""
 
     planes: HalfSpaces
     materials: Materials  # coefficients of the contact law

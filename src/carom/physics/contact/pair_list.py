@@ -1,12 +1,11 @@
 """The searches for touching pairs, and a list of pairs.
 
-A list of pairs avoids most searches (Verlet 1967). The list is rebuilt only when bodies have moved far enough, and
-contains all pairs within the search distance, and pairs farther apart by at most a margin. Two bodies that have each
-moved by at most d since the list was made have come closer by at most 2d. As long as 2d is within the margin, the list
-holds all pairs within the search distance. The listed pairs pass the same exact test, in the same order, so the result
-equals the result of a search. A search within a shorter distance than the list's has the difference as an additional
-margin. So a step whose drift has searched within a larger distance finds its contacts in the same list, however fast
-bodies are.
+A list of pairs avoids most searches (Verlet 1967). The list contains all pairs no farther apart than the search
+distance plus a margin, and is rebuilt only when bodies have moved far enough. Two bodies that have each moved by at
+most d since the list was made have come closer by at most 2d. As long as 2d is within the margin, the list holds all
+pairs within the search distance. The listed pairs pass the same exact test, in the same order, so the result equals the
+result of a search. If the distance of a later search is shorter, the difference adds to the margin. A step whose drift
+has searched within a larger distance therefore finds its contacts in the same list, however fast bodies are.
 
 The margin is chosen by the speed of the bodies so that a list lasts for `CALLS` calls, within limits. A wider list
 costs more to test but is rebuilt less often. For 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their
@@ -46,7 +45,7 @@ class BlockRecord(Protocol):
     """The listed pairs of a block."""
 
     begin: int  # the first pair
-    count: int  # their number
+    count: int  # number of pairs
 
 
 class FarthestRecord(Protocol):
@@ -80,7 +79,7 @@ class KdTree:
 
 
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
-    """Return the search of a scene's ``contact.search``; ``team`` is the threads that search grids.
+    """Return the search of a scene's ``contact.search``; ``team`` has the threads that search grids.
 
     Few bodies are tested pair by pair, which is as fast as a list.
     """
@@ -102,7 +101,7 @@ class PairList:
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # scale and skin of the distance within which the list holds all pairs
         self._least = -np.inf  # m, the distance without the margin
-        self._calls = self._searches = 1  # numbers of calls since the list was made, and of calls that need the margin
+        self._calls = self._searches = 1  # calls since the list was made, and calls that needed its margin
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 

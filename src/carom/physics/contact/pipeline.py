@@ -7,7 +7,7 @@
 3. `resolve`: after the last kick, find the impulses at the final positions
 4. `torques.write`: torques and angular accelerations of the step
 
-Features that only some scenes require are in parts, which this module does not name; it calls their hooks
+This module names no optional part of the model; it calls the hooks of the parts that a scene requires
 (`contact.hooks`).
 
 An integrator whose steps end at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
@@ -71,10 +71,10 @@ class ContactPipeline:
         self._pushes = contact.stabilisation == "split"
         self.warned: set[str] = set()  # messages of the limits reported so far
         friction = requirements.friction.modelled
-        # islands are of interest only where contacts last
+        # without lasting contacts, the solver need not find meshed islands
         sweeps = contact.sweeps if self.lasts or contact.sweeps != "auto" else "converged"
         shapes = bodies, world.planes, world.materials, world.solver_box
-        # torques are for lasting contacts only, so the impulses of impacts are subtracted
+        # only lasting contacts have torques, so the impulses of impacts are kept, to be subtracted
         keeps = totals is not None or requirements.torque.modelled
         self.solver = ContactSolver(*shapes, friction, team, keeps, sweeps)
         if not self.lasts:
@@ -83,8 +83,8 @@ class ContactPipeline:
         self.torques = Torques(bodies, team)
         self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the step's contacts
         self.snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
-        # with fewer sweeps than the default, sticking contacts may slip, and the works of a contact in the two kicks do
-        # not cancel
+        # with fewer sweeps than the default, sticking contacts may slip, and the work of their friction in the first
+        # kick does not cancel its work in the last kick
         sticks = world.is_still and self.most_sweeps >= MOST_SWEEPS["auto"]
         self.signs = SignsOfDissipation(bodies, world.materials, sticks, world.planes)
         names = required(scene, requirements, totals is not None)
@@ -148,7 +148,7 @@ class ContactPipeline:
         return supported
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
-        """Restore the state of `memory`; positions must already be those of the same step."""
+        """Restore the state of `memory`; the bodies must already be at their positions of that step."""
         self.forget()
         if memory is not None:
             if memory.highest >= len(self.bodies.ends.radius):
@@ -158,7 +158,7 @@ class ContactPipeline:
             self.lay_out(memory)
 
     def lay_out(self, memory: ContactCheckpoint) -> None:
-        """Restore the contacts of the last step from a memory."""
+        """Restore the contacts of the last step from a checkpoint."""
         self._order_contacts(memory.pairs, memory.dt)
         self.solver.rest_speed[self.solver.order.place] = memory.rest_speed
         self.solver.load_speed[self.solver.order.place] = memory.load_speed
@@ -240,9 +240,9 @@ class ContactPipeline:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the contacts of the last step carry no impulses, or are held as the next step begins.
+        """Whether the last step had contacts, and all of them are held as the next step begins, or none has an impulse.
 
-        False if anything else happened in the last step.
+        False if the last step had impacts, if an optional part was busy, or if there were too many colours.
         """
         held, statistics = self.impulses, self.statistics
         if self.is_at_rest:
@@ -313,7 +313,7 @@ class ContactPipeline:
             self._resolve(step)
         else:
             self.impulses = ImpulseCache.empty()
-        self.solver.find_pressing()  # finds the pressing contacts of a state from a checkpoint
+        self.solver.find_pressing()  # as for a state restored from a checkpoint
         self.snapshots.set_step(self.contacts, self.idle, self.impacts, step.dt)
         self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         for conclude in self.hooks.conclude:
@@ -323,7 +323,7 @@ class ContactPipeline:
             self.signs.judge_contacts(self.contacts, self.solver, self.impacts, loaded, step.last_kick)
 
     def limits_reached(self) -> list[tuple[str, str]]:
-        """Return warnings about limits of the method first reached in this step: level (`WARN` or `INFO`) and text."""
+        """Return level (`WARN` or `INFO`) and text of warnings about limits that this step was the first to reach."""
         reached = limits_of(
             self.settings,
             serial_stage=self.contacts.overflows and not self.world.planes.takes_colours,
@@ -337,7 +337,7 @@ class ContactPipeline:
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Begin the contacts of a step of dt s: order them, lay out their records, and find their rest speeds."""
-        # a pile at rest keeps its contacts in the same order
+        # a pile at rest keeps its contacts, and so their order
         if not np.array_equal(pairs, self.contacts.pairs):
             self.contacts = OrderedContacts.of(pairs, self.bodies, self.settings.colouring)
         self.solver.lay(self.contacts.order, self.impulses.contacts, self.near.rounding)
@@ -356,7 +356,7 @@ class ContactPipeline:
             before_impacts(step)
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self.is_at_rest
-        # if a force acts only on some bodies, others are near without being pressed: open gaps stay open
+        # a force on only some bodies makes others near, too; nothing presses these together, so open gaps stay open
         impacts_only = lasting or self.near.lists_open
         self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=impacts_only)
         for after_impacts in self.hooks.after_impacts:
@@ -376,17 +376,17 @@ class ContactPipeline:
 
     @property
     def is_at_rest(self) -> bool:
-        """Return whether contacts may be at rest; without a force that presses bodies together, all are impacts."""
+        """Whether contacts may be at rest; without a force that presses bodies together, all contacts are impacts."""
         return self.lasts and self.presses
 
     def _hold_contacts(
         self, dt: float, kick: float, drift: float, bias_rate: float, booked: float, against: FloatArray | None = None
     ) -> int:
-        """Hold the contacts after a kick and before a drift (0: no drift); times in s. Return the number of sweeps."""
+        """Hold the contacts after a kick and before a drift, in s (0 s: no drift); return the number of sweeps."""
         solver, pairs = self.solver, self.contacts.pairs
         place = solver.order.place
         self.impulses.carry_to(pairs, place, kick, solver.contacts, self.team)
-        if kick > 0.0:  # Euler's step ends without a kick, so the next step starts from the impulses of its first kick
+        if kick > 0.0:  # Euler's step has no last kick, so the next step starts from the impulses of the first
             self.impulses = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, booked, drift, bias_rate, self.most_sweeps, against)
 

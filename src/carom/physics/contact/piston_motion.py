@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
 _AXES = ("x", "y", "z")
-MOST_MOVED = 0.1  # most displacement of a piston in a step, in smallest radii, if impacts are resolved at its end
+MOST_MOVED = 0.1  # most displacement of a piston in a step, in smallest radii, if impacts are resolved at the end
 MOST_FALLEN = 0.01  # most displacement of a piston from rest by its acceleration in a step, in smallest radii
 
 
@@ -76,7 +76,7 @@ class PistonPlanes:
         return np.asarray(force / self.mass + self._gravity)
 
     def limited(self, velocity: FloatArray, duration: float) -> FloatArray:
-        """Return the accelerations of pistons with some velocities, (k,) m/s, in a step of some s, (k,) m/s².
+        """Return the accelerations of pistons, (k,) m/s², given their velocities, (k,) m/s, and the step's length in s.
 
         A load stops accelerating a piston at its largest speed.
         """
@@ -86,7 +86,7 @@ class PistonPlanes:
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> PistonMotion:
-        """Return the mover of the pistons and of walls with a prescribed motion; see `PistonMotion`."""
+        """Return the object that moves the pistons and walls with a prescribed motion; see `PistonMotion`."""
         return PistonMotion(records, before, ends, motions, self, smallest)
 
 
@@ -106,7 +106,7 @@ class PistonMotion(WallTranslation):
         smallest: float,
     ) -> None:
         self._pistons, self._smallest, self._rows = pistons, smallest, pistons.rows
-        self._drift = self._booked = 0.0  # s, length of the step, and its first kick
+        self._drift = self._booked = 0.0  # s, lengths of the step and of its first kick
         # (k, 3): displacement in m, velocity in m/s, and the impulse of the bodies since the start in N s
         self.state = self._at_start
         self._begun_state = self.state.copy()

@@ -95,7 +95,7 @@ class RollingSlidingWallContactRecord(SurfaceVelocity, RollingWallContactRecord,
 class ImageVelocity(Protocol):
     """Fields of lasting contacts in a sheared box."""
 
-    image_x: float  # m/s, w: velocity relative to j of the image of j that touches i
+    image_x: float  # m/s, w: velocity, relative to j, of the image of j that touches i
     image_y: float
     image_z: float
 
@@ -262,11 +262,11 @@ class BlockSumsRecord(Protocol):
 
 
 class MeasuredRecord(LedgerRecord, BlockSumsRecord, Protocol):
-    """A contact whose island may have to return energy, and the contact's losses before the audit."""
+    """A contact whose impulses may be scaled back, and the contact's losses before the audit."""
 
 
 class IslandRecord(BlockSumsRecord, Protocol):
-    """An island that may have to return energy."""
+    """An island whose impulses may be scaled back."""
 
     scale: float  # factor on its impulses
 
@@ -295,7 +295,7 @@ class SettingsRecord(Protocol):
     spares_meshed: bool  # whether those further iterations ignore contacts of meshed islands
     ignores_meshed: bool  # whether contacts of meshed islands are ignored now
     slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
-    is_lenient: bool  # whether contacts of meshed islands may close by their rest speed
+    is_lenient: bool  # whether contacts of meshed islands may close at up to their load speed
     slides_above: float  # contacts with a larger `enough` that have slid since the kick keep sliding
     islands_known: bool  # whether the bodies' islands are found
     measures: bool  # whether the audit writes `MEASURED`

@@ -6,8 +6,8 @@ and removes energy:
     ΔΩ = K Λ,    Ω = ω_j - ω_i,    K = 1/I_i + 1/I_j,    ΔE = -Λ·(Ω + ½ K Λ)
 
 The law limits Λ, given the angular impulse that would end Ω. The component in the tangential plane resists rolling, the
-component along the normal resists twisting. Only records of laws that resist them have the fields `ANGULAR_IMPULSE`;
-without these fields, the functions below read 0 and write nothing.
+component along the normal resists twisting. Only the records of such laws have the fields `ANGULAR_IMPULSE`; without
+these fields, the functions below read 0 and write nothing.
 """
 
 from __future__ import annotations

@@ -146,7 +146,7 @@ class SnapshotSource:
         self._impacts = NO_IMPACTS
 
     def set_step(self, contacts: OrderedContacts, idle: IdleContacts | None, impacts: Impacts, dt: float) -> None:
-        """Set the contacts at the end of a step of dt s, contacts that no solver has, and the impacts of the drift."""
+        """Set the contacts at the end of a step of dt s, the idle contacts, and the impacts of the drift."""
         self._contacts, self._idle, self._impacts, self._dt = contacts, idle, impacts, dt
         self._snapshot = None
 
@@ -186,8 +186,8 @@ def late_contacts(
 ) -> tuple[ContactSnapshot, IntArray]:
     """Copy the contacts that touch or carry an impulse at the end of a step, without impacts during the step.
 
-    The arrays contain all m contacts, with near ones: sorted pairs, indices of their records in ``place``, and normals
-    before the position correction. Return a snapshot, and the indices of the records of its contacts, (k,).
+    The arrays contain all m contacts, including near contacts: sorted pairs, indices of their records in ``place``, and
+    normals before the position correction. Return a snapshot, and the indices of the records of its contacts, (k,).
     """
     m = len(pairs)
     ends, indices, numbers = np.empty((m, 2), np.int64), np.empty((2, m), np.int64), np.empty((3, m))

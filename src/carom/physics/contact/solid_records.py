@@ -51,7 +51,7 @@ class GuidedPlanes(Protocol):
     def motion(
         self, records: Records, before: Records, ends: Ends, motions: Sequence[WallMotion | None], smallest: float
     ) -> WallTranslation:
-        """Return the mover of these planes, and of walls with a prescribed motion, through the phases of a step.
+        """Return the object that moves these planes, and walls with a prescribed motion, through the phases of a step.
 
         ``smallest`` is the radius of the smallest body in m; for the other parameters see `WallTranslation`.
         """
@@ -76,7 +76,7 @@ class SolidsWithWalls(HalfSpaces):
 
     @property
     def driven(self) -> BoolArray:
-        """Which ends of contacts have a prescribed motion; numbers are those of `owner`."""
+        """Which solids and facets have a prescribed motion, in the order of `owner`."""
         return np.array([motion is not None for motion in self.motions])[self.owner]
 
     @property
@@ -128,7 +128,7 @@ class SolidsWithWalls(HalfSpaces):
         return self._heights(position, self.records, solid, 1)[:, 0]
 
     def heights_before(self, position: FloatArray) -> FloatArray:
-        """Return the distances at the beginning of the step."""
+        """Return `heights` at the beginning of the step."""
         return self._heights(position, self.before, 0, len(self))
 
     def _heights(self, position: FloatArray, records: Any, first: int, count: int) -> FloatArray:

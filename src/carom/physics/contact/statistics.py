@@ -101,7 +101,7 @@ class ContactStatistics(NamedTuple):
         states: RecordArray[ContactStateRecord],
         inverse_mass: FloatArray,
     ) -> ContactStatistics:
-        """Add the impacts during the drift of a step; a pair is one contact, with its hardest impact.
+        """Add the impacts during the drift of a step; a pair counts as one contact, with its hardest impact.
 
         These statistics describe the contacts at the end of the step, with arrays as in `ConstraintSystem`.
         """
@@ -113,7 +113,7 @@ class ContactStatistics(NamedTuple):
         mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
         first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
         deepest_pair = self.deepest_pair
-        if self.deepest == 0.0 and len(log) > 0:  # if no pair overlaps, the first pair that touched
+        if self.deepest == 0.0 and len(log) > 0:  # if no pair overlaps, name the first pair that touched
             touching = int(log["i"][order[0]]), int(log["j"][order[0]])
             deepest_pair = touching if self.contacts == 0 else min(touching, deepest_pair)
         return self._replace(
@@ -249,7 +249,7 @@ def _comes_first(value: float, i: float, j: float, largest: float, first: float,
     return value > largest or (value == largest and comes_before(i, j, first, second))
 
 
-DEEP_OVERLAP = 0.1  # overlap, in smaller radii, from which a run warns; rigid spheres do not overlap at all
+DEEP_OVERLAP = 0.1  # overlap above which a run warns, in smaller radii; rigid spheres do not overlap at all
 OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius"
 
 

@@ -18,9 +18,9 @@ from carom.physics.bodies import Ends
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.records import ContactRecord
 
-# a motion that moves a body less than this in a step, relative to the requested error, may end anywhere in it
+# a motion that moves a body less than this in a step, relative to the requested error, may end anywhere in the step
 NEGLIGIBLE = 1e-2
-SOON = 1e-3  # a motion that ends within this fraction of the next step may end in it, with 1e-6 of the largest error
+SOON = 1e-3  # fraction of the next step; a motion that ends sooner may end in the step, with 1e-6 of the largest error
 
 
 class SlidingContacts(NamedTuple):

@@ -1,6 +1,6 @@
 """Planes and walls that change their place: at constant velocities, or oscillating.
 
-At the time t, such a wall is displaced from where the scene puts it by
+At the time t, such a wall is displaced from its place in the scene by
 
     D(t) = D_k + V_k (t - t_k) + A sin θ,    θ = 2π f t + φ
 
@@ -94,7 +94,7 @@ class WallTranslation:
     Parameters
     ----------
     records, before
-        Records of all solids, (p,), with the fields `TRANSLATION`. Both are written, ``before`` as a step begins.
+        Records of all solids, (p,), with the fields `TRANSLATION`. Both are written, ``before`` when a step begins.
     ends
         The velocities and accelerations of the solids, which are written.
     motions
@@ -173,7 +173,7 @@ class WallTranslation:
 
     @property
     def longest_step(self) -> float:
-        """The longest step (s) for the motion of walls that contacts move; infinite without such walls."""
+        """The longest step (s) that walls moved by contacts allow; infinite without such walls."""
         return np.inf
 
     def push(self, distances: FloatArray) -> None:
@@ -309,7 +309,7 @@ def _displacement(surface: Any, solid: int, time: float) -> Vector:
 
 @with_field(TRANSLATION[0], _displacement)
 def displacement_in_drift(surface: FloatArray, solid: int, time: float) -> Vector:
-    """Return r in m, by which a wall is displaced at a time (s) since the drift began."""
+    """Return the displacement r (m) of a wall at a time (s) since the drift began."""
     return 0.0, 0.0, 0.0
 
 

@@ -69,7 +69,7 @@ class MovingWalls(OptionalPart):
             self._translation.place(time)
 
     def latest_end(self, time: float, adaptive: bool) -> float:
-        """Return when the velocity of a wall next changes, or a piston or a normal would move too far."""
+        """Return the time (s) when a wall's velocity next changes, or a piston or a normal would have moved too far."""
         end = self._translation.next_change(time) if self._translation else np.inf
         if not adaptive:
             return end

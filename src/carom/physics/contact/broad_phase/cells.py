@@ -10,8 +10,8 @@ Visiting a row of cells costs as much as testing some bodies. Where most cells a
 across the rows and shorter along the rows, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms).
 In dense regions such cells cost a tenth more.
 
-Bodies rarely change cells from step to step. If they are sorted in the order of the previous step, bodies are read and
-written nearly in order. Renumbering the bodies along a space-filling curve would gain nothing more.
+Bodies rarely change cells from step to step, so a sort that starts from the order of the previous step reads and writes
+them nearly in order. Renumbering the bodies along a space-filling curve would gain nothing more.
 
 Rejected: always hashing (neighbours in space are then anywhere in memory); one cell width for all radii (n² candidates
 as soon as one body is huge).
@@ -38,7 +38,7 @@ SPARSE = 2.5  # number of cells per body above which cells are broader across ro
 BROAD = 1.75  # factor on the width of cells across rows; the length of cells along rows is divided by its square
 WIDE = 2.0  # factor on the cell width if a grid would otherwise exceed `MAX_CELLS_PER_BODY`
 MAX_SHARED_BODIES = 0.5  # bodies per cell above which octaves do not share a grid
-MAX_PAIRS_PER_BODY = 1.0  # pairs within cells above which an octave gets its own cells of the smallest width
+MAX_PAIRS_PER_BODY = 1.0  # pairs per body within cells, above which an octave gets its own cells of the smallest width
 STRIP = 64  # length of a strip: cells that are neighbours in a row, and also in a hashed table
 MAX_ROWS_PER_BODY = 8.0  # mean number of rows that a small body searches in the grid of much larger bodies
 MIN_BODIES_PER_TASK = 1000
@@ -61,14 +61,14 @@ class GridRecord(Protocol):
     end: int
     first_bucket: int
     end_bucket: int
-    kx: float  # cells in a metre
+    kx: float  # cells per metre along each axis
     ky: float
     kz: float
     nx: int  # cells along each axis
     ny: int
     nz: int
     mask: int  # mask of the hash, if cells are hashed
-    hashed: bool  # False: cells are numbered row by row
+    hashed: bool  # whether cells are hashed; otherwise, they are numbered row by row
     crowded: bool  # whether the largest octave is crowded
 
 
@@ -132,7 +132,7 @@ class Cells:
         self._bucket, self._rank = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32)
 
     def sort(self, position: FloatArray, scale: float, skin: float) -> Table:
-        """Return the table of bodies at (n, 3) m, in cells at least as wide as ``(r_i + r_j) scale + skin``."""
+        """Return the table of bodies at positions (n, 3) m, in cells at least ``(r_i + r_j) scale + skin`` wide."""
         before, table, layout, n = self.table, self._spare, self.layout, len(position)
         extent = _measure_extent(position, layout.origin, layout.box)
         if _define_grids(extent, scale, skin, self._octaves, layout):
@@ -238,7 +238,7 @@ def _cut(width: float, broader: float, extent: Vector, box: FloatArray, grid: Gr
 
 @kernel
 def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
-    """Return the number of cells along an axis, and per metre; a cell is at least ``size`` (m) wide."""
+    """Return the number of cells along an axis, in all and per metre; a cell is at least ``size`` (m) wide."""
     if periodic:
         cells = int(min(max(1.0, np.floor(extent / size)), MOST_CELLS))
         return cells, cells / extent

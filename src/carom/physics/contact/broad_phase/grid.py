@@ -135,8 +135,8 @@ def search(
             fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, repeats(box[0]))
             fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, repeats(box[1]))
             fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, repeats(box[2]))
-            # Within an octave, half of the neighbours are searched. If a cell may be a neighbour on both sides, all
-            # neighbours are searched, but only for later bodies.
+            # Within an octave, half of the neighbouring cells are searched. If a cell may be a neighbour on both sides,
+            # all neighbouring cells are searched, but only for later bodies.
             half = K == L and not _meets_itself(grid, scale, skin, box)
             later = K == L and not half
             cx, cy, cz = 0, 0, 0
@@ -162,7 +162,7 @@ def search(
                         m, end = _search_cells(a, Row(x, x + cells, y, z), after, grid, scope, m, end)
                         ix += cells
                         if half:
-                            after = 0  # the row begins with its first cells
+                            after = 0  # only the first cells of a row include the body's own cell
     for unused in range(m, min(end, buffer.shape[1])):
         buffer[0, unused, 1] = -1
 

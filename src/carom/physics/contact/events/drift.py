@@ -57,11 +57,12 @@ if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
 LOG_ROWS = 4096  # most impacts in one call
-MOST_TOUCHING = 16  # mean number of contacts per body at one moment
-SINGLE_ROWS = 4  # one row in so many is for single impacts in the log of touching bodies; the others are for groups
+MOST_TOUCHING = 16  # largest mean number of contacts per body at one moment
+SINGLE_ROWS = 4  # in the log of touching bodies, one row in this many is for single impacts, the others for groups
 GAP_ROUNDING = 16 * 2.0**-53  # relative rounding of the coordinates and of the sum of radii
-WIDEST = 2.0  # width, in radii, up to which the contact grids also find neighbours
-# Limits of the search radius in body radii, for `narrow`: a limited radius saves time, and its square is finite.
+WIDEST = 2.0  # factor on the radii up to which the search for contacts also finds neighbours
+# Range of the largest search radius, in body radii, in which `narrow` is used: below it, narrowing would save no time;
+# above it, squares would not be finite.
 NARROWED = 0.25, 1e100
 
 
@@ -82,7 +83,7 @@ class EventDrivenDrift(Mover):
         self.pressing = solver.pressing  # (n + p, 3) m/s², accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
         self._group = empty_group()  # workspace of held contacts
-        self._absent: BoolArray | None = None  # (n,) bodies that do not exist now, as `trajectories.everyone`
+        self._absent: BoolArray | None = None  # (n,) absent bodies, which `trajectories.everyone` lacks
         self._is_open = not (shear or world.box.any())  # no axis is periodic
         # log of the impacts in a call; it grows with the number of impacts in a step
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
@@ -190,7 +191,8 @@ class EventDrivenDrift(Mover):
             pairs = pairs[are_present(pairs, contacts.absent)]
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
-            bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
+            # paths bend only if the velocities are means over the drift
+            bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)
             self._begin(T, dt, kick, damping, bends, contacts.solver.pressed)
             self._straighten(held, contacts.unmoved)
             if self._forces:
@@ -255,7 +257,7 @@ class EventDrivenDrift(Mover):
         island_load_speeds(pairs, self.trajectories, scale, skin, self.pressing, self.field, dt)
 
     def _neighbours(self, largest: float, scale: float, skin: float, dt: float, narrows: bool) -> IntArray:
-        """Return the pairs whose search radii overlap; all bodies get a small ``largest`` (in body radii)."""
+        """Return the pairs whose search radii overlap; a small ``largest`` (in body radii) holds for all bodies."""
         T, radius, position = self.trajectories, self._bodies.radius, self._bodies.position
         if self._shear:
             position, stretch = self._shear.carried(position), self._shear.stretch(dt)
@@ -307,8 +309,8 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
     (`held_group`).
 
     The bodies are at their positions at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and
-    ``strays`` are 0. The first pair in the buffer ``pairs`` counts as touching, whatever its gap. A buffer without rows
-    does nothing.
+    ``strays`` are 0. The first pair in the buffer ``pairs`` counts as touching, whatever its gap. If the buffer has no
+    rows, nothing happens.
     """
     count, row = _touching_pairs(T, pairs), 0
     for i in range(len(T.x) if count > 0 else 0):

@@ -48,11 +48,11 @@ from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import is_sheared, periods
 from carom.physics.vector import Vector, along, between, is_periodic, nearest_image, vector
 
-# Fraction of the rest speed above which a contact is resolved where it touches; it rebounds above the rest speed
-# itself. With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead
-# of 1 mm. Rejected: for held bodies, comparing the velocity in the drift, which is what moves them, with the rest
-# speed. With a fraction of 0.05, stack-dropped gains 5 % of its energy in place of 8 % and overlaps are a third as
-# deep, but marbles-in-a-box and drum take 1.5 times as long and hopper twice; with 0.01, the gain is 1 %, and
+# Fraction of the rest speed above which a contact is resolved where it touches; it rebounds only above the rest speed.
+# With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead of 1 mm.
+# Rejected: for held bodies, comparing the velocity with which they move in the drift with the rest speed. With a
+# fraction of 0.05, stack-dropped gains 5 % of its energy instead of 8 %, and overlaps are a third as deep, but
+# marbles-in-a-box and drum take 1.5 times as long, and hopper twice as long. With 0.01, the gain is 1 %, and
 # marbles-in-a-box takes six times as long.
 SLOW = 0.25
 # Fraction of the rest speed above which a contact is resolved where it touches, in scenes without fixed bodies. With
@@ -64,10 +64,10 @@ SLOW_IN_SPACE = 1.0
 IMAGE_SHARE = 0.25
 
 # Number of impacts of a body in a drift after which its contacts are held (`MAX_IN_COLLAPSE` with e < 1, where no force
-# presses). A collapse has infinitely many impacts in a finite time. Where a force presses, a light ball can stop one of
-# 300 times its mass within this number. Without dissipation there are always finitely many, some π √(M/m) for a heavy
-# ball that presses a light one against a wall (Galperin 2003): 10⁵ for a ratio of the masses of 10⁹. The records of so
-# many impacts take 20 MB.
+# presses). A collapse has infinitely many impacts in a finite time. Where a force presses, a light ball can stop a ball
+# of 300 times its mass within this number of impacts. Without dissipation, the number is always finite: about π √(M/m)
+# if a heavy ball presses a light ball against a wall (Galperin 2003), which is 10⁵ for a mass ratio of 10⁹. The records
+# of so many impacts take 20 MB.
 MAX_IMPACTS = 1000
 MAX_ELASTIC = 100_000
 

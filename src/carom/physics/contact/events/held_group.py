@@ -2,9 +2,9 @@
 
 A light ball between a heavy one and a floor rattles: to stop the heavy ball, it needs about as many impacts as the
 ratio of the masses, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither
-close nor rebound. A body that has had the largest number of impacts in a drift is exhausted, and its contacts are set
-to this limit at once. From then on, each impact involves a group: the pair, all bodies that touch an exhausted body of
-the pair, all bodies that touch an exhausted body among these, and so on. For each contact of the group,
+close nor rebound. A body that has had as many impacts as a drift allows is exhausted, and its contacts are set to this
+limit at once. From then on, each impact involves a group: the pair, all bodies that touch an exhausted body of the
+pair, all bodies that touch an exhausted body among these, and so on. For each contact of the group,
 
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
@@ -244,7 +244,7 @@ def _place(i: int, bodies: int, group: Group) -> int:
 
 @inner
 def _join(i: int, bodies: int, T: Trajectories, group: Group) -> int:
-    """Add a body that moves, or a guided wall, at the present time; return the number of bodies."""
+    """Add a body that moves, or a guided wall, to the group at the present time; return the number of bodies."""
     if T.inverse_mass[i] == 0.0:
         return bodies
     if i < len(T.x):
@@ -280,7 +280,7 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
 
 @inner
 def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
-    """Reverse the velocity change of a body without closing contacts; if it ``waits``, at the end of the drift."""
+    """Double the velocity change of a body, so that it rebounds; if it ``waits``, at the end of the drift."""
     x, y, z = vector(T.v, group.body[k])
     x, y, z = group.v[k, 0] - x, group.v[k, 1] - y, group.v[k, 2] - z
     if not waits:

@@ -1,10 +1,10 @@
 """The impulses that hold a group of contacts: nearest velocities by the dual method of Goldfarb & Idnani (1983).
 
-Of all velocities at which each contact closes no faster than its gap allows, the solution is nearest to the previous
-velocities in kinetic energy, see `held_group`. The dual method finds it in finitely many steps: it adds the contact
-that closes fastest, and opens contacts whose impulse would become negative. The method works with orthogonal directions
-of the scaled velocities √m v. At mass ratios above 10¹², the matrix of the contacts would lose a light body between
-heavy ones to rounding.
+Among all velocities at which each contact closes no faster than its gap allows, the solution is the nearest to the
+previous velocities, measured by kinetic energy (`held_group`). The dual method finds it in finitely many steps: it adds
+the contact that closes fastest, and opens contacts whose impulse would become negative. The method works with
+orthogonal directions of the scaled velocities √m v. At mass ratios above 10¹², the matrix of the contacts would lose a
+light body between heavy ones to rounding.
 
 Goldfarb, D., Idnani, A.: A numerically stable dual method for solving strictly convex quadratic programs. Mathematical
 Programming 27 (1983) 1–33.
@@ -21,8 +21,8 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 
 MOST_BODIES = 48  # most bodies in a group; other bodies are held in other groups
 MOST_CONTACTS = 3 * MOST_BODIES
-MOST_CHANGES = 20  # most changes, per contact, of the set of held contacts; rounding could exchange two without end
-DEPENDENT = 1e-29  # squared orthogonal part of a direction, relative to the whole, that is rounding
+MOST_CHANGES = 20  # most changes per contact of the set of held contacts; rounding could exchange two contacts forever
+DEPENDENT = 1e-29  # squared orthogonal part of a direction, relative to the whole direction, up to which it is rounding
 
 
 class Group(NamedTuple):
@@ -109,7 +109,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
                 if weight[k] > 0.0 and load[k] < partial * weight[k]:
                     partial, opened = load[k] / weight[k], k
             step = min(full, partial)
-            if step == np.inf:  # the contact's direction depends on those held contacts, none of which can open
+            if step == np.inf:  # the direction is a combination of held directions, and no held contact can open
                 ignored[c] = True
                 break
             if full < np.inf:
@@ -152,7 +152,7 @@ def _project(
     """Write to ``z`` the component of a contact's direction that is orthogonal to all ``count`` held directions.
 
     Return the square of the length of this component. The components along the held directions are written to a column
-    of ``R``, and the rates at which the held impulses fall as the impulse of the contact rises to ``weight``.
+    of ``R``. The rates at which the held impulses fall, as the impulse of the contact rises, are written to ``weight``.
     """
     z[:] = 0.0
     for end in range(2):

@@ -1,9 +1,9 @@
 """The contact stages of the kernel for few bodies, for steps with the same contacts as the previous step.
 
-`ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
-themselves. The functions here call the same kernels in the same order without Python in between, so the bits are the
-same. These functions are variants of those in `carom.physics.open_gaps`, for contacts that rest, slide or roll, and for
-contacts without impulses, which no force presses together.
+`ContactPipeline` calls some forty kernels a step. With few bodies, the calls take a hundred times as long as the
+kernels themselves. The functions here call the same kernels in the same order without Python in between, so the bits
+are the same. These functions are variants of those in `carom.physics.open_gaps`, for contacts that rest, slide or roll,
+and for contacts without impulses, which no force presses together.
 
 The functions return False if Python must process the step: if it has other pairs than the previous step, an impact, a
 body behind a plane, a deep overlap, a contact that still closes, a force that begins or ceases to press contacts

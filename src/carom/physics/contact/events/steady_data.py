@@ -17,7 +17,7 @@ from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, BlockCountsRecord
 from carom.physics.jit.team import ALONE
 
-Words = tuple[IntArray, ...]  # five, see `SteadyContacts.words`
+Words = tuple[IntArray, ...]  # five arrays; see `SteadyContacts.words`
 
 
 class SteadyRules(NamedTuple):
@@ -61,9 +61,9 @@ class SteadyContacts(NamedTuple):
     buffers: SteadyBuffers
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each contact's record
-    counts: IntArray  # (n + p,) contacts of each body and plane
+    counts: IntArray  # (n + p,) number of contacts of each body and plane
     normals: FloatArray  # (m, 3) normals before the position correction
-    words: Words  # sizes in words of `CONTACT`, `CONTACT_STATE` and `RECORDED` records, and of normals and spins
+    words: Words  # words of the records `CONTACT`, `CONTACT_STATE` and `RECORDED`, the normals and the spins
     supported: FloatArray  # (n + p,) m/s², accelerations that contacts support; empty if no step depends on them
     spins: FloatArray  # (n, 3) rad/s, spins; empty where nothing spins
     mass: FloatArray  # (n,) kg
@@ -128,5 +128,5 @@ class SteadyContacts(NamedTuple):
 
 
 def _words_of(numbers: FloatArray) -> IntArray:
-    """Return numbers as words of eight bytes, a view."""
+    """Return a view of numbers as words of eight bytes."""
     return numbers.reshape(-1).view(np.int64)

@@ -3,8 +3,8 @@
 `KickDriftStepper` leaves the steps before the next frame or check to this module, as long as the same contacts last.
 `KickDriftStepper` itself makes the last of these steps, since Python needs its contacts for the frame or check.
 
-The kernel keeps the ledger, the numbers of contacts and the deepest overlap as single steps would, and adds in the same
-order. `steady_contacts` lists the steps that Python must process.
+The kernel keeps the ledger, the numbers of contacts and the deepest overlap as single steps would, and adds them up in
+the same order. `steady_contacts` lists the steps that Python must process.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
-PATIENCE = 256  # single steps after which carom decides, again and again, whether to load or compile the kernel
+PATIENCE = 256  # number of single steps between two decisions whether to load or compile the kernel
 LONGEST_PAUSE = 16  # most single steps between two calls of the kernel, if each ends at a step that Python must process
 
 
@@ -51,7 +51,7 @@ class SteadySteps:
         self._last: OrderedContacts | None = None  # contacts of the last examined step
         self._go_on: Callable[..., tuple[Any, ...]] | None = None  # the kernel; None until it is worthwhile
         self._first: float = np.inf  # number of the first examined step
-        # single steps before the next call, and before the one after it if this call makes no step
+        # single steps before the next call; and before the call after that, if the next call makes no step
         self._pause, self._next_pause = 0, 1
         self._waited = 0  # single steps that the kernel could have made
         self._next_decision = PATIENCE  # value of `_waited` at which to decide again whether the kernel is worthwhile

@@ -6,7 +6,7 @@ R:
 
     τ = t_c - √((R² - p²)/v²)
 
-p is computed as a vector, because the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small, distant
+p is computed as a vector, because the discriminant (d·v)² - v² (d² - R²) would lose the radius of a small, distant
 sphere to rounding. Bodies that already overlap and close meet at once.
 
 Where a uniform field bends the path of only one of two bodies, their separation is d + w t + ½ b t². The second
@@ -43,7 +43,7 @@ MOST_PASSES = 100
 GAP_TOLERANCE = 2.0**-50  # gap, relative to the sum of radii, that counts as rounding
 
 # Constants of `step_by_impacts`.
-PASSES = 3  # passes, each of which uses the mean velocity up to the impact found before
+PASSES = 3  # passes, each of which uses the mean velocity up to the impact that the previous pass found
 SLOW_CONTACT = 2.0  # least closing speed of an impact, divided by the speed that a contact at rest may gain in the span
 APPROACH = 0.9  # fraction of the time to an impact that a step covers
 SHORT = 1e-4  # fraction of the span; a step of this length passes over impacts that come sooner
@@ -169,8 +169,8 @@ def time_of_impact_in_box(
 ) -> float:
     """Return `time_of_impact` in a periodic box, given its size in m, for any number of passes through the box.
 
-    The path is cut into legs of at most half a box. On a leg, a body can meet the nearest image of another or, along
-    each axis, the approaching image.
+    The path is cut into legs of at most half a box. On a leg, a body can meet the nearest image of another body or,
+    along each axis, the approaching image.
     """
     (dx, dy, dz), (vx, vy, vz), (Lx, Ly, Lz) = d, v, box
     passed = 0.0

@@ -2,8 +2,8 @@
 
 Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt, the parabola lags
 behind the straight line by ½ g s (dt - s), whatever impacts happened before. Stored positions are on the straight
-lines. `lag` is added where bodies meet, so the time of a meeting in a uniform field is exact. Contacts at rest hold
-their bodies with one impulse for the whole drift, so the path of a held body is straight.
+lines. Where bodies meet, `lag` corrects their positions, so the times of impacts in a uniform field are exact. Contacts
+at rest hold their bodies with one impulse for the whole drift, so the path of a held body is straight.
 
 Under linear drag with the relaxation time τ, paths are straight in a time σ that slows down with the bodies
 (`carom.physics.forces.drag`): σ = τ (1 - e^{-s/τ})/φ₁. At both ends of the drift, σ = s. All times here are σ;
@@ -13,7 +13,7 @@ Under linear drag with the relaxation time τ, paths are straight in a time σ t
 
 An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
 
-The search radius of a body is the displacement within which it can meet only bodies in its list of neighbours.
+As long as a body moves by less than its search radius, it can meet only the bodies in its list of neighbours.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # standoff, in radii, of a body that is exhausted for the first time
-# most holds of an exhausted body in a drift; its standoff then exceeds every gap, and it meets only bodies
+# most holds of an exhausted body in a drift; its standoff then exceeds every gap, and it no longer meets walls
 MOST_HOLDS = 100
 MAX_SEARCH_RADIUS = 1e150  # m; finite when squared
 
@@ -65,16 +65,16 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     start_z: float
     standoff: float  # m, gap up to which the contacts of an exhausted body are held; see `held_group`
     holds: int  # how often the body's contacts were held in this drift, or since its last release
-    released: int  # the body's number of impacts at its last release; 0 before the first
+    released: int  # number of the body's impacts at its last release; 0 before the first release
     releases: int  # how often the body was released in this drift
     later_x: float  # m/s, velocity that the body regains at the end of the drift; meaningful if it is exhausted
     later_y: float
     later_z: float
-    rattles: bool  # whether the body has had so many impacts in this drift that slow ones no longer rebound
+    rattles: bool  # whether the body has had so many impacts in this drift that slow impacts no longer rebound
     strays: bool  # whether the path leaves the search radius
     is_straight: bool  # whether the path does not bend with the field, because the body is held or fixed
     is_free: bool  # whether the body has touched nothing since the last step, so that it bounces at any speed
-    exhausted: bool  # whether the body has had its largest number of impacts
+    exhausted: bool  # whether the body has had as many impacts as a drift allows
 
 
 TRAJECTORY = dtype_of(TrajectoryRecord)
@@ -97,7 +97,7 @@ class DriftRecord(Protocol):
     bulk_z: float
     queued: int  # number of bodies in the event queue
     strays: int  # number of bodies that left their search radius
-    exhausted: int  # number of bodies that reached the largest number of impacts
+    exhausted: int  # number of bodies that had as many impacts as a drift allows
 
 
 DRIFT = dtype_of(DriftRecord)
@@ -146,7 +146,7 @@ def write_search_radii(
     body: RecordArray[TrajectoryRecord],
     drift: RecordArray[DriftRecord],
 ) -> float:
-    """Write the search radius of each body for dt, and the bulk velocity; return the largest radius in body radii.
+    """Write the search radius of each body for dt, and the bulk velocity; return the largest, in radii of its body.
 
     A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
     the centre of mass or to fixed objects. Such a radius suffices after most impacts, and a fast body does not widen
@@ -191,10 +191,10 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
 def narrow(pairs: IntArray, scale: float, skin: float, T: Trajectories, near: IntArray) -> int:
     """Centre search radii on the middle of the paths; copy pairs that may meet to ``near``, and return their number.
 
-    A search radius around the start of a path is twice as large as around its middle, and the search for neighbours
-    finds all pairs within the largest search radius. In a falling heap, two fifths of the pairs remain. Space must not
-    be periodic, and paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) define the distance of the
-    search.
+    A search radius around the start of a path is up to twice as large as around the middle of the path, and the search
+    for neighbours finds all pairs within the largest search radius. In a falling heap, two fifths of the pairs remain.
+    Space must not be periodic, and paths must bend with the uniform field alone. ``scale`` and ``skin`` (m) define the
+    distance of the search.
     """
     drift, rows = T.drift[0], 0
     half = 0.5 * drift.dt
@@ -238,7 +238,7 @@ def release(i: int, T: Trajectories) -> None:
 
 @kernel
 def straighten(pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], T: Trajectories) -> None:
-    """Make the paths of held bodies, with an impulse in ``contacts[place]``, straight, and mark them as not free."""
+    """Make straight the paths of bodies held by an impulse in ``contacts[place]``, and mark the bodies as not free."""
     body = T.body
     for c in range(len(place)):
         if contacts[place[c]].normal_impulse > 0.0:
@@ -301,9 +301,9 @@ def relative_velocity(i: int, j: int, T: Trajectories) -> Vector:
 
 @inline
 def velocity_of_partner(i: int, j: int, T: Trajectories) -> Vector:
-    """Return the velocity (m/s) relative to j of its image nearest to i; 0 unless the box is sheared.
+    """Return the velocity (m/s), relative to j, of the image of j nearest to i; 0 unless the box is sheared.
 
-    Both bodies must be at their positions of the present time.
+    Both bodies must be at their positions at the present time.
     """
     dx, dy, dz = between(T.x, i, j)
     return velocity_of_image(dx, dy, dz, T.box)

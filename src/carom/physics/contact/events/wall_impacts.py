@@ -2,10 +2,10 @@
 
 The path of a body in a drift is x + v t + ½ g t², where g is the field that bends the path. At the signed distance d(x)
 from a wall, the gap of a body of radius r is d - r. The time until this gap closes has two bounds. The gap cannot close
-before the path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the
-distance of the nearest centre of curvature. Steps by either bound lead to the first root from below; with the second,
-they converge as fast as Newton's method, as in `time_of_impact`. If a wall translates, the path is relative to the
-wall, and the wall's largest acceleration is added to g.
+before the path is as long as the gap. The second derivative of the gap is at least -(g + u²/f), where u is the speed
+and f the distance of the nearest centre of curvature. Steps by either bound lead to the first root from below; steps by
+the second bound converge as fast as Newton's method, as in `time_of_impact`. If a wall translates, the path is relative
+to the wall, and the wall's largest acceleration is added to g.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def _predict_with_solid(
         px, py, pz = px - rx, py - ry, pz - rz
         bx, by, bz = vector(T.a, n + solid)
         ux, uy, uz = ux - sx - bx * s, uy - sy - by * s, uz - sz - bz * s
-    if not touches_here(surface, solid, px, py, pz):  # a neighbouring facet is as near, and takes the contact
+    if not touches_here(surface, solid, px, py, pz):  # a neighbouring facet is as near, and gets the contact
         return
     nx, ny, nz, _, focal = nearest_point(surface, solid, px, py, pz)
     closing = -(ux * nx + uy * ny + uz * nz)

@@ -77,7 +77,7 @@ class Inlets:
                 self.slots[k] = time, 0.0
 
     def blocked(self, time: float, since: FloatArray, waiting: IntArray, patience: float) -> Iterable[str]:
-        """Yield a sentence for each inlet where a body has been due for longer than a patience (s)."""
+        """Yield a sentence for each inlet where a body has been due for longer than ``patience`` (s)."""
         for k in np.flatnonzero(self.room(time, waiting)).tolist():
             due = self._slot(k, 0) if self._interval[k] else float(self._at[k])
             due = max(due, float(since[(self.of_body == k) & (since != PRESENT)].min()))

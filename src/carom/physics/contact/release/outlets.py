@@ -24,7 +24,7 @@ class OutletRecord(Protocol):
     x: float  # m, centre of the outlet, or a point of its plane
     y: float
     z: float
-    a: float  # m, half of its size, or first the radius of a ball or cylinder; for a plane, its normal
+    a: float  # m, half of its size along x, or the radius of a ball or cylinder; a, b, c: the normal of a plane
     b: float
     c: float
     cavity: float  # m, radius of the cavity of a shell

@@ -7,7 +7,7 @@ and its pairs with other bodies are not contacts. Bodies enter and leave as a st
 - an adaptive step ends when a body is due, so that it enters at its time; equal steps let it enter as the next begins
 - it enters at its place, with the velocity and the spin of the scene, if no sphere and no moving wall overlaps it there
 - in a group with a rate, one body enters at each multiple of 1/rate; others pass a body whose place is taken, and a
-body that could not enter in time enters as soon as there is room
+  body that could not enter in time enters as soon as there is room
 - bodies are tried in the order in which they began to wait
 
 The ledger books the kinetic and potential energies of bodies that enter and leave.
@@ -64,10 +64,10 @@ class PassingBodies(OptionalPart):
         contacts.near.has_statics = True  # pairs of bodies that cannot move are left out
         self._outlets, self._through = outlets_of(scene), np.empty(n, dtype=np.int64)
         self._comes_back = np.array([outlet.to == "inlet" for outlet in scene.outlet], dtype=np.bool_)
-        # number and kg of bodies that left through each outlet since the start
+        # number and mass (kg) of the bodies that left through each outlet since the start
         self._totals = np.zeros((len(scene.outlet), 2))
         self._time = 0.0  # s, time at which the step began
-        self._exchanged: list[tuple[float, FloatArray, FloatArray]] = []  # J, N s and N m s that entered in this step
+        self._exchanged: list[tuple[float, FloatArray, FloatArray]] = []  # J, N s and N m s of bodies that entered
         self._restore(self._at_start)
         self._place_outside(np.flatnonzero(self._waits))
 
@@ -88,7 +88,7 @@ class PassingBodies(OptionalPart):
         self._restore(self._at_start)
 
     def remember(self, memory: ContactCheckpoint) -> ContactCheckpoint:
-        """Add the waiting bodies, the taken slots, and the totals that have left."""
+        """Add the waiting bodies, the taken slots, and the totals of bodies that have left."""
         state = self._since, self._inlets.slots, self._totals
         return replace(memory, release=ReleaseCheckpoint(*(array.copy() for array in state)))
 
@@ -104,7 +104,7 @@ class PassingBodies(OptionalPart):
         self._exchanged.clear()
 
     def latest_end(self, time: float, adaptive: bool) -> float:
-        """Return when the next body is due, or if sooner, when a body that enters now has moved by half a radius."""
+        """Return when the next body is due, or when a body that enters now has moved by half a radius, if sooner."""
         if not adaptive or not self._count:
             return np.inf
         due, end = self._due(time), self._inlets.next_due(time, self._waiting)
@@ -172,7 +172,7 @@ class PassingBodies(OptionalPart):
         return np.asarray(choose(due, self._inlets.of_body, room, self._place, bodies, self._box, self._largest))
 
     def _enter(self, which: IntArray) -> None:
-        """Give bodies their mass, at their places, and the acceleration with which the step begins."""
+        """Give bodies their places, their mass, and the acceleration with which the step begins."""
         assert self._forces is not None, "the world must join its forces to this part first"
         bodies, before = self._bodies, sum(self._forces.potentials().values())
         bodies.position[which], bodies.velocity[which] = self._place[which], self._velocity[which]

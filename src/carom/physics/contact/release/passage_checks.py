@@ -1,4 +1,4 @@
-"""Refusals: inlets with too many bodies, and outlets that no body reaches or that every body is in."""
+"""Refusals of releases and outlets that cannot work."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places where bodies wait, and the choice of those that find their places free."""
+"""Places where bodies wait, and the choice of the bodies that enter because their places are free."""
 
 from __future__ import annotations
 

@@ -143,7 +143,7 @@ class Sleepers(OptionalPart):
         return replace(memory.among(awake, held), sleep=slept)
 
     def recall(self, memory: ContactCheckpoint) -> None:
-        """Restore the state of a checkpoint; positions must already be those of the same step."""
+        """Restore the state of a checkpoint; the bodies must already be at their positions of that step."""
         self.forget()
         if memory.sleep is not None:
             self._calm, self._reference = memory.sleep.calm.copy(), memory.sleep.reference.copy()
@@ -171,7 +171,7 @@ class Sleepers(OptionalPart):
             _stop(self._calm, ends.velocity, ends.angular_velocity)
 
     def prepare(self, step: PresentStep) -> None:
-        """Begin a step without the contacts that fell asleep after the last one."""
+        """Begin a step without the contacts that fell asleep after the last step."""
         contacts, self._lost, self._first_kick = self._all_contacts, NO_ENTRIES, step.kick
         if self._fell_asleep:
             memory = contacts.memory
@@ -208,7 +208,7 @@ class Sleepers(OptionalPart):
         step.profile.mark("sleep")
 
     def _leave_out(self) -> None:
-        """Leave the present contacts of sleepers to this part during this step."""
+        """Let this part, not the solver, keep the present contacts of sleepers during this step."""
         self._slept = self._all_contacts.idle = self.contacts
 
     def have_awake_end(self, pairs: IntArray) -> BoolArray:

@@ -143,7 +143,7 @@ def friction_energies(
 
 @inline
 def _find_islands(system: ConstraintSystem) -> None:
-    """Write the island of each body, named by the lowest body that contacts connect it with."""
+    """Write the island of each body: the lowest body to which contacts connect it."""
     active, island = system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]

@@ -312,7 +312,7 @@ def set_half_turn(
     moves: tuple[Vector, Vector, float, float, float],
     end: Vector,
 ) -> None:
-    """Store `half_turn` of a contact with a wall: half of the decrease of the slip s - ρ ω × n in the drift.
+    """Store `half_turn` of a contact with a wall: half the amount by which the slip s - ρ ω × n decreases in the drift.
 
     To compare the slips at both ends of the drift, the later slip is rotated back, by the rotation that takes the
     normal ``end`` to the normal at the beginning.
@@ -322,8 +322,8 @@ def set_half_turn(
     contact, surface, solid, body
         The contact, its wall, and the body.
     moves
-        The place of the body in m, v_t of the body relative to the wall and c in m/s, its gap if it overlaps in m (0
-        otherwise), and the drift in s.
+        The position of the body (m), its v_t relative to the wall and c (m/s), its negative gap if it overlaps the
+        wall, otherwise 0 (m), and the drift (s).
     end
         The normal at the end of the drift.
     """

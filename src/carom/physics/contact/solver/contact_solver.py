@@ -45,10 +45,10 @@ from carom.physics.jit.team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
-# `contact.sweeps` decides whether conjugate gradients follow the iterations. Their iterations end when r·z has fallen
-# to this fraction of its value at the start of the round; with other values of the key, no conjugate gradients follow.
-# After a round, contacts are released, so a more exact solution would solve other equations. In a falling heap of 1000
-# (benchmarks/heap.py), a fraction of 0.3 takes a fifth of the iterations that 10⁻³ takes, and leaves the same overlaps.
+# With these values of `contact.sweeps`, conjugate gradients follow the iterations. A round of conjugate gradients ends
+# when r·z has fallen to this fraction of its first value. A more exact solution would gain nothing, because the round
+# then releases contacts, which changes the equations. In a falling heap of 1000 (benchmarks/heap.py), a fraction of 0.3
+# takes a fifth of the iterations that 10⁻³ takes, and leaves the same overlaps.
 SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
 # values of `contact.sweeps` with which small changes end the iterations
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")
@@ -137,7 +137,8 @@ class ContactSolver:
         Parameters
         ----------
         order
-            The contacts in the order of solving. keep
+            The contacts in the order of solving.
+        keep
             `contacts` of an earlier step, not to be overwritten.
         rounding
             m, rounding of the coordinates; a pair with a gap up to this touches.
@@ -163,7 +164,7 @@ class ContactSolver:
 
     @property
     def counts(self) -> IntArray:
-        """(n + p,) contacts of each body and plane."""
+        """(n + p,) number of contacts of each body and plane."""
         if self._counts is None:
             self._counts = np.empty(len(self._bodies.ends.inverse_mass), dtype=np.int64)
             count_contacts(self._system.pairs, self._counts)
@@ -328,7 +329,7 @@ class ContactSolver:
 
     @property
     def loads(self) -> RecordArray[LoadRecord]:
-        """(n + p,) `LOAD`, of the contacts held before the drift."""
+        """(n + p,) `LOAD`, loads by the contacts held before the drift."""
         return self._workspace.loads
 
     def assume_loads(self) -> None:

@@ -48,7 +48,7 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import between
 
-CONVERGED = 1e-9  # iterations end when the largest change of a velocity is this fraction of the first iteration's
+CONVERGED = 1e-9  # iterations end when the largest change of a velocity, relative to the first iteration, is this
 
 
 @inner

@@ -49,10 +49,10 @@ MAX_ITERATIONS = 100  # most iterations in a round
 # round, overlaps are twice as deep.
 MAX_MESHED_ITERATIONS = 8
 MAX_FURTHER_ITERATIONS = 256  # most Gauss–Seidel iterations after the last round
-# After these iterations, a contact of a meshed island is unsolved only if it closes faster than its rest speed, where a
-# run would warn. With 8, a heap of 1000 falls 1.2 times as fast, but takes longer to settle. Rejected, since overlaps
-# stay the same: continuing as long as 16 iterations halve the violation, which takes 1.3 times as long; continuing in
-# heaps that hardly move.
+# After this many iterations, a contact of a meshed island is unsolved only if it closes faster than its load speed,
+# above which a run would warn. With 8, a falling heap of 1000 is computed 1.2 times as fast, but takes longer to
+# settle. Rejected, since overlaps stay the same: continuing as long as 16 iterations halve the violation, which takes
+# 1.3 times as long; continuing in heaps that hardly move.
 MAX_MESHED_FURTHER = 16
 GROWN = 1e6  # growth of the largest impulse in a search; more growth shows that there is no solution
 MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more than this is the last round
@@ -94,7 +94,7 @@ def run_job(
     addresses, kind
         Addresses of the phases' code, and the kind of the systems that it is compiled for; see `PhaseCode`.
     system
-        The contacts, located.
+        The contacts, passed by address.
     """
     if kind != kind_of((system,)):
         raise TypeError("the phases are compiled for systems of another kind")

@@ -1,8 +1,8 @@
 """Position correction: overlapping bodies at rest are pushed apart, without a velocity along the normal.
 
-A pair is pushed by δ along n. Each body moves in proportion to its inverse mass, so the centre of mass stays where it
-is. The push alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative
-velocity of the centres). Scaling v_t by d/(d + δ) conserves the angular momentum:
+A pair is pushed apart by δ along n. Each body moves in proportion to its inverse mass, so the centre of mass stays
+where it is. The push alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential
+relative velocity of the centres). Scaling v_t by d/(d + δ) conserves the angular momentum:
 
     (d + δ) n × (v_t d/(d + δ)) = d n × v_t
 
@@ -58,7 +58,7 @@ BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 # it forms).
 MAX_SEPARATION = 0.1
 
-NEVER = -2  # the "iteration" in which a body was pushed that never was; less than any iteration minus 1
+NEVER = -2  # iteration noted for a body that was never pushed; less than any iteration minus 1
 AMOUNTS = 1  # line of `CONTACT_STATE` with the energies, the pushes and the flags
 
 
@@ -79,7 +79,7 @@ def count_contacts(pairs: IntArray, counts: IntArray) -> None:
 def find_push_fractions(
     lo: int, hi: int, pairs: IntArray, counts: IntArray, states: RecordArray[ContactStateRecord]
 ) -> None:
-    """Compute the fraction of each overlap that an iteration removes: 1 / (fewest contacts of an end).
+    """Compute the fraction of each overlap that an iteration removes: 1 / (smaller number of contacts of its ends).
 
     Removing the whole overlap would push each body into the next one. A compressed pile would then never come to rest.
     In a falling stack of 500 balls, every other contact would keep an overlap of 0.24 r instead of 0.06 r.
@@ -275,7 +275,7 @@ def scatter_positions(
     x: FloatArray,
     v: FloatArray,
 ) -> None:
-    """Copy positions and velocities of pushed bodies in the active [lo, hi) back into the arrays."""
+    """Copy positions and velocities back into the arrays, for those active bodies [lo, hi) that were pushed."""
     for k in range(lo, hi):
         b = from_front(active[k])
         if pushed_in[b] != NEVER:
@@ -397,5 +397,5 @@ class _Correction:
 
 
 def _restitution_of_one(material: Coefficients, approach: float, load_speed: float) -> float:
-    """Call the law: `Code.call` takes a plain function of Python, not a kernel."""
+    """Call the law: `Code.call` accepts a plain function of Python, not a kernel."""
     return restitution(material, approach, load_speed)

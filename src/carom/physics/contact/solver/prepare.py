@@ -66,11 +66,11 @@ from carom.physics.vector import vector
 TOUCHING = 1e-9  # gap of touching bodies, relative to the sum of radii; iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # number of contacts whose records fit into the first-level cache
 
-LOADED = 1e-5  # weight of the velocity change by the warm-start impulse in the scale of convergence;
-# rounding is 1e-16 of that velocity change
+# Weight of the warm start's velocity change in the scale of convergence. The rounding of this change is 1e-16 of it.
+LOADED = 1e-5
 
-# A change of a contact's velocities that needs no further iteration. The impulses keep even a smaller change, and the
-# next kick starts from them, so a pile at rest converges from step to step.
+# Largest change of a contact's velocities that needs no further iteration. Smaller changes remain in the impulses, from
+# which the next kick starts, so a pile at rest converges from step to step.
 SMALL_OF_REST = 1e-4  # tolerance as a fraction of the rest speed
 SMALL_OF_RADIUS = 3e-6  # tolerance as a fraction of the smaller radius per step
 
@@ -120,7 +120,7 @@ def _clear(contact: ContactRecord, state: ContactStateRecord) -> None:
 
 @inner
 def prepare(first: int, end: int, system: ConstraintSystem) -> None:
-    """Write the constants of the iterations, and v_n and u before them; clear the impulses of impacts."""
+    """Write the constants of the iterations, and the initial v_n and u; clear the impulses of contacts not held."""
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
@@ -150,7 +150,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
             if drift > 0.0:
                 bias = max(0.0, gap) / drift
                 if j >= count:
-                    # slip of the body after the friction of the warm start: it is close to the final friction
+                    # slip of the body after the friction of the warm start, which is close to the final friction
                     fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
                     along = (-tx - fx, -ty - fy, -tz - fz)
                     normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
@@ -190,7 +190,7 @@ def impulses_of(contacts: RecordArray[ContactRecord]) -> FloatArray:
 
 
 PlacedContacts = tuple[IntArray, IntArray, RecordArray[ContactRecord]]
-"""Pairs (m, 2), sorted, the index of the record of each, (m,), and the records, (m,)."""
+"""Sorted pairs, (m, 2), the index of each pair's record, (m,), and the records, (m,)."""
 
 
 @dataclass(slots=True)
@@ -225,7 +225,7 @@ class ImpulseCache:
         return np.concatenate((impulses, angular[self.place]), axis=1) if angular.shape[1] else impulses
 
     def impulse_of(self, contacts: RecordArray[ContactRecord]) -> FloatArray:
-        """Return `impulse`, with angular impulses if these contacts have them: 0 for contacts without any."""
+        """Return `impulse`, with angular impulses of 0 if ``contacts`` have angular impulses and the cache has none."""
         impulses = self.impulse
         missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - impulses.shape[1]
         return np.pad(impulses, ((0, 0), (0, missing))) if missing else impulses
@@ -287,7 +287,7 @@ def _gather_impulses(place: IntArray, contacts: RecordArray[ContactRecord], impu
 def carry_each(
     lo: int, hi: int, old_contacts: RecordArray[ContactRecord], ratio: float, contacts: RecordArray[ContactRecord]
 ) -> None:
-    """Transfer the impulses of the contacts [lo, hi) in the order of their records: no search, half the time."""
+    """Transfer the impulses of the contacts [lo, hi) in the order of their records, in half the time of `_carry`."""
     for c in range(lo, hi):
         old = old_contacts[c]
         _set_impulse(contacts[c], ratio, old.normal_impulse, old.friction_x, old.friction_y, old.friction_z)
@@ -297,7 +297,7 @@ def carry_each(
 
 @long_kernel
 def _carry(lo: int, hi: int, before: PlacedContacts, ratio: float, now: PlacedContacts) -> None:
-    """Find each pair among the old pairs, both in sorted order, and transfer its impulse."""
+    """Find each pair among the old pairs (both are sorted), and transfer its impulse."""
     old_pairs, old_place, old_contacts = before
     pairs, place, contacts = now
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0

@@ -10,8 +10,8 @@ Both products are sums over bodies, whose velocities and spins change by p and t
 
     s·v = Σ m p·v + I t·ω,    s·A s = Σ m p² + I t²
 
-A ball squeezed between two that are 10⁹ times heavier then sinks by less than 10⁻¹¹ of its radius. Without the search,
-it sinks by 0.1 radii at a mass ratio of 10² (docs/physics.md, section 9).
+A ball squeezed between two balls of 10⁹ times its mass then sinks by less than 10⁻¹¹ of its radius. Without the line
+search, it sinks by 0.1 radii even at a mass ratio of 10² (docs/physics.md, section 9).
 
 **Conjugate gradients.** After the iterations it is usually known which contacts carry a load, and which loaded contacts
 stick. For these contacts the conditions of `solve` become equations,
@@ -22,8 +22,8 @@ where s is the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1
 diagonal of A. Contacts with attractive impulses are then released, and further Gauss-Seidel iterations determine again
 which contacts carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
 
-A stack of n spheres takes about n of these iterations, but about n² iterations of `solve`. A load on much lighter
-spheres gains as much.
+A stack of n spheres takes about n of these iterations, but about n² iterations of `solve`. The gain is as large for a
+load on much lighter spheres.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ INTOLERABLE = 10.0  # factor on the tolerated closing speed above which the sear
 REST_TOLERANCE = 0.3  # tolerated closing speed, as a fraction of the rest speed
 APPROACH_TOLERANCE = 0.03  # tolerated closing speed, as a fraction of the impact's closing speed
 RADIUS_TOLERANCE = 3e-5  # tolerated closing speed, in smaller radii per step
-# Rejected: 10⁻³ in meshed islands. A heap of 1000 (benchmarks/heap.py) then falls 1.1 times as fast, with the same
-# overlaps, but at rest its steps take 1.7 times as long.
+# Rejected: 10⁻³ in meshed islands. A falling heap of 1000 (benchmarks/heap.py) is then computed 1.1 times as fast, with
+# the same overlaps, but at rest its steps take 1.7 times as long.
 DEEP = 5e-3  # overlap, in smaller radii, of a resting contact that has been sinking for many steps
 DEEP_TOLERANCE = 1e-2  # tolerated closing speed of a deep contact, relative to the rest speed
 

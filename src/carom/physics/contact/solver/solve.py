@@ -18,8 +18,8 @@ end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity o
     c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
 
 Without the square root, two spheres that roll about each other would separate along the tangent, and lose their contact
-in every other step. The scheme is RATTLE (Andersen 1983) for contacts. The slip is taken in the middle of the drift, u
-- q (`half_turn`): as the normal turns, a body that spins about the normal begins to slip.
+in every other step. The scheme is RATTLE (Andersen 1983) for contacts. Friction ends u - q, the slip in the middle of
+the drift (`half_turn`): as the normal turns, a body that spins about the normal begins to slip.
 
 Contacts of a colour are solved eight at a time (`solve_block`), with the same bits as one by one. Both forms call the
 same formulas, and call the law for each contact separately, so a law needs only one form.
@@ -125,7 +125,7 @@ def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
 
 @inner
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
-    """Solve the contacts of a piece once, each with the velocities that the contacts before it left.
+    """Solve the contacts of a piece once, each with the velocities that result from the previous contacts.
 
     Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the remaining contacts one by
     one.
@@ -240,7 +240,7 @@ def friction(
 def _resist_rotation(
     contact: ContactRecord, material: Coefficients, a: BodyStateRecord, b: BodyStateRecord, normal: float, alpha: float
 ) -> float:
-    """Change the angular impulse to end Ω, if the law allows so much; return the change of the surface speed, in m/s.
+    """Change the angular impulse to end Ω, within the law's limits; return the change of the surface speed, in m/s.
 
     The surface speed is measured at a lever arm's distance from the centre.
     """
@@ -338,7 +338,7 @@ class _Solution:
         return either(builder, block.drifts, before_drift, lambda: nothing)
 
     def _at_walls(self, contact: RecordLanes, name: str) -> dict[str, Lanes]:
-        """Return a vector that is 0 between bodies. Memory is read only for contacts with walls: a drum is faster."""
+        """Return a vector that is 0 between bodies. Only blocks with walls read memory, which makes a drum faster."""
         block, names = self._block, [f"{name}_{axis}" for axis in "xyz"]
         zero = spread(self._builder, DOUBLE(0.0))
         at_walls = (~block.between_bodies).any
@@ -348,7 +348,7 @@ class _Solution:
     def _resist_rotation(
         self, contact: RecordLanes, bodies: Sequence[RecordLanes], torque: Sequence[Lanes], alpha: Lanes
     ) -> None:
-        """Change the angular impulse to end Ω after the friction ``torque``, if the law allows so much."""
+        """Change the angular impulse to end Ω after the friction ``torque``, within the law's limits."""
         block = self._block
         a, b = bodies
         spins = [
@@ -403,7 +403,7 @@ class _Solution:
         return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
-        """Return the biases c, see `bias_along_arc`; at planes, and without a drift, for a path along the normal."""
+        """Return the biases c: `bias_along_arc` between bodies before a drift, otherwise as `prepare` wrote them."""
         builder, block, bias = self._builder, self._block, contact.velocity_bias
         between = block.between_bodies
 
@@ -450,7 +450,7 @@ def _friction_of_one(
     ty: float,
     tz: float,
 ) -> tuple[float, ...]:
-    """Call `friction`: `Code.call` takes a plain function of Python, not a kernel."""
+    """Call `friction`: `Code.call` accepts a plain function of Python, not a kernel."""
     return friction(state, material, keeps_sliding, normal, tx, ty, tz)
 
 
