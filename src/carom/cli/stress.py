@@ -59,7 +59,7 @@ class Trial:
 
     @property
     def worst(self) -> dict[str, Extreme]:
-        """The worst times, by missed criterion; for an incomplete run, the time of its end."""
+        """The worst moment of each missed criterion; for a failed run, also its end."""
         from carom.state.books import Extreme
 
         extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}

@@ -2,9 +2,9 @@
 
 Common times fall within steps, and cutting steps at these times would change the run. Within a step, a body is
 therefore assumed to fly freely, with a correction that leads to its state at the end of the step. The correction is a
-polynomial of degree five, or of degree three if the integrator computes no forces at the ends. A body in contact is
-corrected by a constant acceleration, because contacts are solved for the mean velocity of a step. After an impact, a
-body flies freely until its next impact.
+polynomial of degree five, or of degree three if the integrator computes no forces at the ends of a step. A body in
+contact is corrected by a constant acceleration, because contacts are solved for the mean velocity of a step. After an
+impact, a body flies freely until its next impact.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from carom.scene.units.dimension import TIME
 from carom.state.frame import Frame
 
 TELLING = 5.0  # s between two lines of progress
-STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters
+STEPS = (4.0, 2.0, 1.0, 0.5)  # factors on the step for each integrator, in scenes without contacts
 SAMPLES = 200  # times at which trajectories are compared
 # distance of a sample from a round time, in sampling intervals; the golden section avoids simple ratios
 EARLIER = (3.0 - 5.0**0.5) / 2.0
 LATE = 0.9  # contacts after this fraction of the samples count as late in the run
-ROUNDINGS = 8  # roundings of a coordinate within which displacement and velocities of a body in contact agree
-MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # for few bodies: they cost nothing, and paths can be drawn
+ROUNDINGS = 8  # roundings of a coordinate by which displacement and velocities of a body in contact may disagree
+MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # with few bodies, more samples cost nothing, and paths can be drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +324,7 @@ class _Watch(Watch):
 
     @property
     def sinking(self) -> float:
-        """Mean overlap, relative to the smaller radius, of contacts late in the run; 0 if there was none."""
+        """Mean overlap, relative to the smaller radius, of contacts late in the run; 0 without such contacts."""
         overlaps = np.concatenate(self._overlaps) if self._overlaps else np.empty(0)
         return float(overlaps.mean()) if len(overlaps) else 0.0
 

@@ -2,8 +2,8 @@
 
 A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
 velocities differ by up to 2 J/m along the contact's normal, where J is the impulse of the load in a step, and by 2 a dt
-along the acceleration a by the forces. An impact passes on the part of such a load that lies along the impact's normal.
-Bodies that met pass on this part, and friction passes a fraction of the part on to other directions. Loads allow no
+along the acceleration a that forces cause. An impact passes on the part of such a load that lies along the impact's
+normal. Further impacts pass on this part, and friction turns a fraction of it into other directions. Loads allow no
 difference if no contact began, ended or changed its mode, and none across their normals: a rolling ball follows its
 path, and a slow impact along a floor bounces, whatever load the floor carries.
 
@@ -12,9 +12,10 @@ a buckling column, is uncertain by ΔJ. The closing speed of a body that rests o
 the normal. The impulses of the body's impact, and their effects on all touching bodies, have the same relative
 uncertainty: a light ball squeezed out by heavy ones leaves with this relative error.
 
-If several contacts acted, physics fixes neither how they share impulses nor the order of simultaneous impacts. The runs
-then agree on touching bodies if the bodies keep the same share of their energy. Plastic impacts of a heavy ball may end
-all of its motion, and leave a light ball with a millionth of the energy; the order of the impacts decides how much.
+If several contacts acted, physics determines neither how they share impulses nor the order of simultaneous impacts. The
+runs then agree on touching bodies if the bodies keep the same share of their energy. Plastic impacts of a heavy ball
+may end all of its motion, and leave a light ball with a millionth of the energy; the order of the impacts decides how
+much.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ from carom.state.frame import Frame
 
 LASTS = 4  # steps after which a pressing contact carries a load; the force that stops a slow impact ends sooner
 LOOK_AFTER = LASTS + 1.0  # steps after an interval that are read for the loads of contacts
-RETURNS = 2.0  # steps; if a bounce would take longer (2 v/a), a step must not end it at rest
+RETURNS = 2.0  # steps; a bounce that would take longer (2 v/a) must not end at rest within a step
 SHARED = 5e-2  # fraction of the touching bodies' kinetic energy by which two runs may differ in how they share impulses
-TURNED = 0.01  # rad or sizes: change, in a step, of a torque that resists rolling; its error is of first order
+TURNED = 0.01  # relative change (or rad), in a step, of a torque that resists rolling; its error is of first order
 FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
 SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
 
@@ -121,7 +122,7 @@ class Touching:
 
 @dataclass(slots=True)
 class CloseLook:
-    """An interval of both runs."""
+    """The effects of contacts in an interval of both runs."""
 
     run: RunInterval
     refined: RunInterval
@@ -184,7 +185,7 @@ class CloseLook:
         return energy
 
     def lacks_a_bounce(self, touching: Touching, refined: Frame) -> bool:
-        """Return whether the run held a pair that bounces in the finer run for longer than a step."""
+        """Return whether the run kept a pair in contact that bounces for longer than a step in the finer run."""
         bounced = {(int(row["i"]), int(row["j"])) for row in self.run.impacts}
         energy = self._kinetic(touching, refined)
         for row in self.refined.impacts:

@@ -181,7 +181,7 @@ def _changes(repository: _Repository, commit: str) -> str:
     return {0: "", 1: "-dirty"}.get(asked.returncode, "-unchecked")
 
 
-AFTER_CALLBACK = 0.05  # s after a callback; llvmlite's callbacks for each kernel take microseconds
+AFTER_CALLBACK = 0.05  # s from a callback to the repeated signal; llvmlite's callbacks for a kernel take microseconds
 LONGEST_IMPORT = 10.0  # s, longest wait of a signal for an import; the longest import takes a second
 # s within which interrupts count once: wrappers such as `uv run` also forward the terminal's interrupt
 SAME_PRESS = 0.3

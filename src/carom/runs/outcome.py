@@ -25,7 +25,7 @@ from carom.state.books import Extreme, Extremes
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A promise: its limit, the measured value, and the time at which this was worst.
+    """A promise: its limit, the measured value, and the time of the worst value.
 
     In a run of another length, a promise about the end is not judged, and counts as met.
     """

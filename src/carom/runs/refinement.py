@@ -1,6 +1,6 @@
 """Runs a scene again with shorter steps, and compares quantities that should not depend on the step.
 
-The ledger and the bits show that a run agrees with itself; this comparison can show that it is wrong. The run is
+The ledger and the bits show that a run agrees with itself; this comparison can show that the run is wrong. The run is
 compared with a second one whose steps are k times as short, at a few hundred instants: positions, velocities and spins
 of all bodies, overlaps, and the entries of the ledger. A quantity that differs by more than a tolerance depends on the
 step, so it does not follow from the scene's laws. `shorter_steps` distinguishes chaos from a fault, and `close_look`

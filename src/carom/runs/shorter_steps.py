@@ -39,7 +39,8 @@ STATE = 1e-3
 PULLED = 0.1  # tolerance of velocities relative to their change in a step by forces that vary along a path
 ROUGH = 20.0  # factor on the tolerances of bodies that rub under load while a contact begins, ends or changes its mode
 LEDGER = 1e-3  # tolerance of a ledger entry relative to the moved energy; the default of `record.energy_tolerance`
-SUDDEN = 0.2  # tolerance of a ledger entry in one interval, relative to the kinetic energy, if most of this is certain
+# tolerance of a ledger entry in one interval, relative to the kinetic energy, if bodies with most of it are predictable
+SUDDEN = 0.2
 CHAOTIC = 5e-2  # tolerance of a ledger entry if chaos ends the comparison of bodies, so that entries are statistics
 REGULAR = 0.99  # chaos decides if less than this fraction of the motion was compared
 OVERLAP = 5e-2  # tolerance of overlaps relative to the smaller radius; a step may move bodies by half a radius or more
@@ -234,7 +235,7 @@ class Comparison:
         return float(energy[self._growth <= MOST_GROWTH].sum() / energy.sum()) if energy.any() else 0.0
 
     def finish(self) -> None:
-        """Judge the entries of the ledger over all intervals.
+        """Compare the entries of the ledger over all intervals.
 
         If the overlap of a heavy body is corrected by a millionth of its radius, its energy may change by more than a
         thousandth of the kinetic energy. Therefore the work of the forces over the difference of the positions is also

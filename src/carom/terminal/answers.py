@@ -36,7 +36,7 @@ class ShownFacts(NamedTuple):
     whole: bool = False  # whether to print numbers indented and, if necessary, in lines wider than the terminal
 
     def lines(self) -> Iterator[tuple[str, str]]:
-        """Yield each line with its name; only the first line of a name has the name, the others an empty text."""
+        """Yield each line with its name, which is empty in all lines but the first of a name."""
         for name, texts in self.rows:
             for k, text in enumerate([texts] if isinstance(texts, str) else texts):
                 yield "" if k else name, text

@@ -27,7 +27,7 @@ from carom.terminal.printing import bytes_text, duration_text, simulated_text, w
 
 MANY_STEPS = 10_000_000  # number of steps that take at least some 10 s
 LEAST_FRAMES = 0.9  # if less than this fraction of the requested frames is recorded, a note says so
-FEW_STEPS = 1000  # number of steps that may all be recorded
+FEW_STEPS = 1000  # largest number of steps without a frame for which a note suggests recording every step
 FEW_FRAMES = 0.2  # like `LEAST_FRAMES`, but applied to the automatic number of frames, which nobody requested
 
 

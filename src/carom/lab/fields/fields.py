@@ -228,7 +228,7 @@ class FieldSums:
         )
 
     def _notes(self, known: bool) -> list[str]:
-        """Describe the data that the values lack."""
+        """Describe the data that are missing."""
         interval, recording, notes = self._interval, self._interval.recording, list[str]()
         largest = float(recording.bodies.radius[interval.moving].max())
         if self._grid.cell.min() < 2.0 * largest:

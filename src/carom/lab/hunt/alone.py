@@ -1,8 +1,8 @@
 """Compare the bits of a scene that runs alone in a new process with its bits after the other scenes of a hunt.
 
 All scenes share the compiled kernels of their process, which other processes may have stored. If something leaks from
-one scene to the next, such as a kernel linked for the records of another scene, neither the ledger nor a replay in the
-same process shows the leak. Only a run in another process can show it.
+one scene to the next, such as a kernel that is linked to the record layout of another scene, neither the ledger nor a
+replay in the same process shows the leak. Only a run in another process can show it.
 """
 
 from __future__ import annotations

@@ -18,8 +18,8 @@ from carom.arrays import FloatArray
 
 Value = TypeVar("Value")
 
-# Vectors of multiples of 1/4 up to 1, simplest first; a vector needs one draw, since three draws would take most of the
-# time
+# Vectors of multiples of 1/4 up to 1, simplest first; one draw gives a whole vector, since three draws would take most
+# of the time
 QUARTERS = np.array(sorted(itertools.product(np.arange(-4, 5) / 4, repeat=3), key=lambda v: (np.abs(v).sum(), *v)))
 DIRECTIONS = QUARTERS[1:] / np.linalg.norm(QUARTERS[1:], axis=1, keepdims=True)
 

@@ -55,7 +55,7 @@ def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
 def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
     """Return whether the integrator's only error is rounding, so that the ledger explains all energy changes."""
     exact = not auto.integrator(scene).controls_error and _falls_exactly(scene)
-    # the work of the field is then booked only to next order
+    # with fixed bodies in a field, the ledger contains the work of the field only to the next order
     pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)
     return exact and not pushed and not needs.gravity.modelled and scene.drag is None
 
@@ -71,7 +71,7 @@ def _is_free(scene: Scene, needs: Requirements) -> bool:
 
 
 def _corrects_overlaps(scene: Scene, needs: Requirements) -> bool:
-    """Return whether contacts may rest, and their overlaps are corrected."""
+    """Return whether bodies may rest in contact, and overlaps are corrected."""
     contact = scene.contact
     corrects = contact.solver == "lasting" and contact.stabilisation == "split" and not contact.allow_overlap
     return needs.resting.modelled and corrects

@@ -31,7 +31,7 @@ from carom.lab.hunt.random_boundaries import enclosed, poured
 from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
-DRIFT = 10.0  # common speed of all bodies, in usual speeds; small, since the energy scale excludes its rounding
+DRIFT = 10.0  # common speed, relative to the bodies' own; small, since the energy scale excludes its rounding
 MOST_FIXED = 200  # largest number of steps in a run with a fixed step
 # one in this many scenes has bodies that enter and perhaps leave; such a scene has its own random numbers
 SCENES_FOR_A_POUR = 12

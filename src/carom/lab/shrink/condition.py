@@ -82,7 +82,7 @@ class MissedPromise(Condition):
             raise ExperimentError(f"--while {self.text}: no promise {self.name}; {hint}")
 
     def pinned(self, seen: Observation) -> Condition:
-        """Return the condition that the same promise is missed by the same quantity."""
+        """Return the condition that a run misses the same promise, with the same quantity."""
         if seen.error and self.or_error:
             return Failed("PhysicsError").pinned(seen)
         if seen.error:

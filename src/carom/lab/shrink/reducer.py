@@ -193,7 +193,7 @@ class Reducer:
     _stages: list[Stage] = field(default_factory=list)
 
     def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:
-        """Return the smallest scene found that shows the failure of a scene.
+        """Return the smallest scene found that shows the same failure as ``scene``.
 
         ``start`` has the scene's bodies at time 0; by default, the scene places them. Raises ExperimentError if the
         scene does not show the failure, or time ran out before it was reproduced, and SceneError if the scene cannot
@@ -225,7 +225,7 @@ class Reducer:
             )
 
     def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
-        """Run the scene up to the failure; return it with bodies written out, and the first pass over its time."""
+        """Run the scene up to the failure; return it with bodies written out, and the first pass, which cuts time."""
         trials.budget.check()
         threads = 1 if trials.condition.of_whole_run else None  # compared with a run on two threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)

@@ -154,7 +154,7 @@ INSTANTS = 50  # number of times at which a run is compared with its repetition 
 
 @dataclass(frozen=True, slots=True)
 class MovesWithSteps(Condition):
-    """A run that steps a quarter as long change noticeably."""
+    """A run that changes noticeably if its steps are a quarter as long."""
 
     of_whole_run = True
 
@@ -176,7 +176,7 @@ class MovesWithSteps(Condition):
 def moved_by_shorter_steps(
     scene: Scene, most_steps: float = math.inf, watch: Callable[[StepStatus], None] = lambda status: None
 ) -> str:
-    """Describe the first change by steps a quarter as long; empty if there is none, or if a run fails."""
+    """Describe the first change caused by steps a quarter as long; empty if there is none, or if a run fails."""
     try:
         moved = refine(scene, threads=1, instants=INSTANTS, most_steps=most_steps, watch=watch).moved
     except (SceneError, PhysicsError):

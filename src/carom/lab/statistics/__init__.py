@@ -263,7 +263,7 @@ class Interval:
         return ImpactColumns(step, time, i, j, _vectors(table, _POINT), _vectors(table, _NORMAL), speed, impulse)
 
     def _impacts_of_engine(self) -> ImpactColumns:
-        """Return the impacts in a recording of another engine: contacts that begin, between bodies that close.
+        """Return the impacts of another engine's run: contacts that begin between bodies that approach each other.
 
         A contact begins in a frame if its pair has no contact in the frame before. Its approach speed follows
         from the exact states of the previous frame, since an engine may resolve an impact over several steps.

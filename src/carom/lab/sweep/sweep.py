@@ -286,9 +286,9 @@ def sweep(
 
     The runs are made by the Dask scheduler at an address, such as ``tcp://10.0.0.1:8786``, or by processes on this
     machine: as many as ``workers``, by default one per core. All machines must have the folder ``root`` under the same
-    path. With ``force``, an existing sweep in it is removed instead of continued. Recordings contain the ``command``
-    line. Raises ExperimentError if the folder holds another sweep or the cluster cannot be used, and OSError if the
-    manifest cannot be written.
+    path. With ``force``, an existing sweep in the folder is removed instead of continued. Recordings contain the
+    ``command`` line. Raises ExperimentError if the folder holds another sweep or the cluster cannot be used, and
+    OSError if the manifest cannot be written.
     """
     folder = Folder(root.resolve())
     output_folder(folder.root)

@@ -30,7 +30,7 @@ from carom.scene.units.dimension import TIME
 AT_REST = 1e-13  # smallest rebound or slip, relative to the speed, that is not rounding
 TOUCHING = 1e-12  # largest gap of a contact, relative to the radius
 ROUNDINGS = 64.0  # error of a gap, in units in the last place of a coordinate
-NUDGE = 4.0  # initial displacement of the twin run of a check, in units of rounding
+NUDGE = 4.0  # initial displacement of a check, in units of rounding
 TOLERANCE = 1e-13  # relative tolerance of DOP853
 ALMOST = 1e-6  # slip, relative to the speed, below which it decreases at a constant rate
 MOST_IMPACTS = 20_000
@@ -83,7 +83,7 @@ class _Path:
 
     x: FloatArray
     v: FloatArray
-    a: FloatArray  # acceleration at the start
+    a: FloatArray  # m/s², acceleration at the start
     rate: float  # 1/s, rate k
 
     def at(self, s: float) -> tuple[FloatArray, FloatArray]:

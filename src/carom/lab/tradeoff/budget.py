@@ -17,7 +17,7 @@ RUNS = 30.0  # default budget, in multiples of the time of the scene as written
 LEAST = 5.0  # s, default budget of short runs
 FOR_THE_REFERENCE = 0.5  # fraction of the budget after which the reference is not refined further
 FOR_TIMES = 0.25  # fraction of the budget that is kept for repeated timings
-# smallest time left for a run, relative to the time of the scene as written; with less, a run would be stopped
+# a run begins only if this fraction of the time of the scene as written is left; with less, it would be stopped
 FASTEST = 0.5
 SHORT = 0.05  # s; a shorter run is repeated until its time is known to `PRECISION`
 PRECISION = 0.05  # relative precision of a median

@@ -14,7 +14,7 @@ The tolerance bounds only the error of flights. A *twin* measures how contacts a
 displaced by rounding errors, with simultaneous contacts resolved in another order. Each order of the impacts obeys the
 impulse law of a pair, but in a row of touching bodies the velocities depend on the order: no law of pairs determines
 these velocities. The solution resolves all closing pairs at once, and then the pairs that close again. The twins
-resolve one pair at a time: one twin the last closing pair, the other twin the first.
+resolve one pair at a time: one twin begins with the last closing pair, the other with the first.
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ def _total(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values * values))) if len(values) else np.nan
 
 
-ORDER_MATTERS = 1e-10  # relative difference of speeds that is more than rounding, if impacts happen in another order
+ORDER_MATTERS = 1e-10  # relative difference of speeds, beyond rounding, from which the order of impacts matters
 AGREEMENT = 1e-3  # distance, in sizes of the system, at which refinements disagree
 LOOSER = 10.0  # ratio of the tolerances of the second and the first exact solution
 GAIN = 1.1  # refinement ends when it extends the horizon by a smaller factor
@@ -214,7 +214,7 @@ class Reference:
     kind: str  # "exact" or "refined"
     fineness: float  # ratio of the scene's step to the reference's step; infinite if the reference is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
-    whole: bool  # whether the horizon is the end of the scene
+    whole: bool  # whether the reference reaches the end of the scene
     # for each kind of error, the larger error of the two checks, measured like errors of settings; at least rounding
     uncertainty: Errors
     text: str  # description of the reference

@@ -441,7 +441,7 @@ def _count(number: int, results: list[SettingResult]) -> str:
 
 
 def _left(results: list[SettingResult], repeats: int | None) -> str:
-    """Estimate the remaining time from earlier timings; empty before the first, or without a number of repeats."""
+    """Estimate the remaining time from earlier timings; empty before a timing, or without a number of repeats."""
     known = [result.cost for result in results if result.costs]
     if not known or repeats is None:
         return ""

@@ -149,7 +149,7 @@ def excess(study: Study, written: SettingResult, result: SettingResult, limits: 
 def loses_frames(study: Study, written: SettingResult, result: SettingResult) -> bool:
     """Return whether a recording has fewer frames than the recording of the scene as written.
 
-    If the scene records every step, the frames of an automatic recording are enough.
+    If the scene records every step, a setting needs only as many frames as an automatic recording.
     """
     wanted = written.frames
     if study.scene.record.every == "step":

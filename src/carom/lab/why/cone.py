@@ -203,7 +203,7 @@ class Cone:
         return inside
 
     def passed_to(self, bodies: tuple[int, ...]) -> list[float]:
-        """Return, for each impact, the share of the answer that the other end passed on to one of some bodies."""
+        """Return, for each impact, the share of the answer that the other end passed on to one of the given bodies."""
         nets = [(p.net if end == p.i else -p.net) for p in self.passages for end in (p.i, p.j) if end in bodies]
         return [net for net in nets if net > NEGLIGIBLE]
 

@@ -116,7 +116,7 @@ def why(
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
-    """Answer a question from windows, the latest first, which contains the moment; masses are (n,) kg."""
+    """Answer a question from windows, the latest of which comes first and contains the moment; masses are (n,) kg."""
     windows = iter(histories)
     back = _Backwards(question, next(windows), mass)
     for history in windows:
