@@ -21,7 +21,7 @@ class Claims:
     """The size that a record batch claims to have."""
 
     rows: int
-    lengths: IntArray  # lengths of all arrays, nested ones included
+    lengths: IntArray  # lengths of all arrays, including nested arrays
     buffer_bytes: int  # summed over all buffers
     compressed: bool  # whether each buffer is compressed and begins with its uncompressed size
     buffers: IntArray  # (b, 2) offset in the body, and length, of each buffer

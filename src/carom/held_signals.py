@@ -39,7 +39,8 @@ def signals_held() -> Iterator[None]:
     try:
         yield
     finally:
-        # handlers are called last signal first, and all of them even if one raises
+        # the stack calls these in reverse order, and all of them even if one raises; so the last signal is registered
+        # first
         with contextlib.ExitStack() as afterwards:
             for number in reversed(dict.fromkeys(held)):
                 afterwards.callback(signal.raise_signal, number)

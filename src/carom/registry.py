@@ -170,7 +170,7 @@ def installed(kind: str) -> tuple[str, ...]:
 
 
 def origin(kind: str, name: str) -> PartOrigin | None:
-    """Return the origin of a part of an installed package; None if no package has that name.
+    """Return the origin of a part of an installed package; None if no package defines it.
 
     Raises `ExtensionError` if two packages define the name, or if carom and a package define it.
     """

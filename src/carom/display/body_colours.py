@@ -27,7 +27,7 @@ from carom.recording.timelines import STEP
 from carom.recording.write.encoder import graph_colours
 from carom.recording.write.rows import Index, Rows
 
-_MOST = 30_000_000  # most bodies times frames for which changing colours are computed
+_MOST = 30_000_000  # largest product of bodies and frames for which changing colours are computed
 _CONTACT_ENDS = "LineStrips3D:strips"
 _RECORDED = ("Ellipsoids3D:colors", "Points3D:colors")
 
@@ -115,7 +115,7 @@ def _of_rows(recording: Recording, header: Header, places: Sequence[int], rows: 
 
 
 def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> ColourArray:
-    """Return the colours (n,) of trails: the colours of the bodies if they are constant, otherwise of the groups."""
+    """Return the colours (n,) of trails: those of the bodies if they are constant, otherwise those of the groups."""
     fixed = header.static_colours(by if by in STATIC_COLOURS else "group")
     return palette.legible(fixed[recording.shown], theme)
 

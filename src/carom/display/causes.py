@@ -37,14 +37,14 @@ from carom.scene.units.dimension import IMPULSE
 
 GRAPH = "graph"
 _LINES, _MARKED, _LABELS = (f"{GRAPH}/{name}" for name in ("edges", "asked", "impulses"))
-MOST_NODES = 12  # most nodes of the graph; more would not fit
+MOST_NODES = 12  # largest number of nodes in the graph; more would not fit
 
 _NODE = 8.0  # points, radius of a node
 _WIDEST = 4.0  # points, radius of the line of a large impulse
 _HEIGHT, _LETTER, _BORDER = 26.0, 7.0, 12.0  # points: height of a label, mean width of a letter, width of both borders
 _GAP, _WIDE = 24.0, 180.0  # points: smallest gap between neighbouring labels; usual distance of neighbours
 _ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in the order of preference
-MOST_EDGES = 200  # most edges that are drawn: the edges with the largest shares
+MOST_EDGES = 200  # largest number of edges that are drawn: those with the largest shares
 _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
     *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
     "why",
@@ -52,7 +52,7 @@ _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
 _DRAWN = (_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES)
 _HEADING = "Causes: white wires in question, faint without effect"
 _FADED = 0x232A35FF
-_SHOWN = 0.01  # share from which a body or an edge is shown
+_SHOWN = 0.01  # smallest share of a body or an edge that is shown
 _LEAST = 0.003  # smallest share of an edge that is drawn
 _WIDTHS = np.linspace(0.8, 5.0, drawing.LEVELS)  # screen points, widths of edges by impulse
 _HALO = 1.25  # size of the wires around the bodies in question, relative to the bodies
@@ -164,7 +164,7 @@ class CauseGraph:
             yield sorted(left)
 
     def labels(self, place: FloatArray) -> Mapping[int, Box]:
-        """Return the boxes of the labels of edges; an edge whose label would overlap another label gets none."""
+        """Return the boxes of the labels of edges; an edge whose label would overlap another label has no label."""
         taken = [Box(x, y, 2 * _NODE, 2 * _NODE) for x, y in place.tolist()]
         taken += self.names_on_screen(place)
         found: dict[int, Box] = {}
@@ -287,7 +287,7 @@ def _bodies(
 
 
 def _levels(edges: Sequence[CauseEdge]) -> IntArray:
-    """Return the level of each edge's impulse, as in other views; their median is in the middle."""
+    """Return the level of each edge's impulse, as in other views; the median impulse has the middle level."""
     impulses = np.array([edge.impulse for edge in edges])
     positive = impulses[impulses > 0.0]
     return drawing.level(impulses, float(np.median(positive)) if len(positive) else 1.0)

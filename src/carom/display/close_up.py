@@ -73,9 +73,9 @@ from carom.recording.write.rows import NO_STEPS, BatchColumn, Index, Rows
 BODIES, EDGE = f"{ROOT}/bodies", f"{ROOT}/edge"
 FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
 
-_MOST_BYTES = 200_000_000  # most bytes of positions that are read to follow the bodies
+_MOST_BYTES = 200_000_000  # largest size of the positions that are read to follow the bodies, in bytes
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
-_REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
+_REACH = 3.0  # ratio of the distance of an eye that follows points to half the diagonal of their box (Rerun 0.41)
 _TOUCHING = 1e-9  # fraction of a radius; a smaller gap is rounding
 _ALIKE = 0.08  # two shades have one hue if their shares of red, green and blue differ by at most this
 _UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
@@ -120,7 +120,7 @@ class CloseUp:
         )
 
     def _neighbours(self) -> Sequence[int]:
-        """Return the bodies that a picture of a crowd shows: those that touch one of the pair; () for all."""
+        """Return the bodies that a picture of a crowd shows: the pair, and bodies that touch it; () for all."""
         frame = (self.instant or self.step).frame
         if not self.is_brief or frame is None or not is_crowded(self.header):
             return ()
@@ -150,7 +150,7 @@ class CloseUp:
         yield VELOCITY, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=ink)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=impulse)
         yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
-        # on the arrows themselves, the labels would have their colours
+        # as labels of the arrows, the texts would have the colours of the arrows
         yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=ink, show_labels=True)
         yield from self._legend().statics
 
@@ -289,10 +289,10 @@ def close_up(
     Parameters
     ----------
     colours
-        Of the bodies of the pair.
+        The colours of the pair's bodies.
     instant
-        The time of an impact of the pair within the step. A pair that still touches at the end of the step is shown
-        there.
+        The time of an impact of the pair within the step. A pair that still touches at the end of the step is shown at
+        that end.
     pauses_within
         Whether the viewer pauses at the instant.
     clock
@@ -300,7 +300,7 @@ def close_up(
     explained
         Whether a legend is inside the view.
     brief
-        Whether the legend beside the view has its numbers.
+        Whether a legend beside the view states the numbers of the view.
     """
     bodies = pair.bodies
     places = [recording.shown.index(body) for body in bodies]

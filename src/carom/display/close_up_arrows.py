@@ -24,15 +24,15 @@ ROOT = "close_up"
 NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("normal", "impulse", "spin"))
 BEFORE, VELOCITY = f"{ROOT}/velocity_before", f"{ROOT}/velocity"
 
-NORMAL_LENGTH = 0.9  # in radii of the smaller body
+NORMAL_LENGTH = 0.9  # length of the normal, in radii of the smaller body
 _SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
-VELOCITY_LENGTH = 1.3  # of the longest velocity's arrow, in radii of the smaller body
+VELOCITY_LENGTH = 1.3  # length of the longest velocity's arrow, in radii of the smaller body
 OFF = (1.2, 1.55)  # distances of the velocities before and after an impact from the centre, in radii of their body
 _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROUNDING = 1e-9  # fraction of the faster spin; a spin below this fraction is rounding
-# colour of velocities before an impact; velocities after it have the colour of ink
+# colour of velocities before an impact; velocities after it have the colour of the text
 EARLIER = {"dark": palette.GREY, "light": 0xB4BAC2FF}
-# fraction of the approach speed; if speeds before an impact differ more, bodies have several impacts at an instant
+# fraction of the approach speed; if speeds before an impact differ by more, bodies have several impacts at an instant
 _CHAINED = 0.01
 
 
@@ -43,7 +43,7 @@ class Contact:
     point: FloatArray  # (3,) m from the recording's origin
     normal: FloatArray  # (3,) unit vector from i to j, or out of a plane or wall, like the impulse on the body
     approach_speed: float  # m/s
-    impulse: FloatArray  # (3,) N s, on j
+    impulse: FloatArray  # (3,) N s, impulse on j
     force: float | None  # N, the impulse over the step; None for an impact
     edge: FloatArray  # (2, 3) m
 
@@ -62,13 +62,13 @@ class LabelledArrows:
     vectors: FloatArray  # (n, 3) m
     labels: list[str]
     along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
-    bodies: Sequence[int] = ()  # places of the bodies that the labels belong to, in the close-up
+    bodies: Sequence[int] = ()  # places in the close-up of the bodies that the labels belong to
     short: Sequence[str] = ()  # labels in a view whose legend has the other labels
-    way: FloatArray | None = None  # (3,) in which the short labels are off the arrows; by default on beyond their tips
+    way: FloatArray | None = None  # (3,) direction from an arrow to its short label; by default beyond the tip
 
     @property
     def off(self) -> FloatArray:
-        """The directions (n, 3) in which short labels are off the arrows."""
+        """The directions (n, 3) from the arrows to their short labels."""
         return self.vectors if self.way is None else np.broadcast_to(self.way, self.vectors.shape)
 
 
@@ -84,7 +84,7 @@ class ShownPair:
     spin_before: FloatArray | None  # (b, 3) rad/s, before the impact of an instant
     velocity: FloatArray | None  # (1, b, 3) m/s or, before and after the impact of an instant, (2, b, 3)
     angular_impulse: FloatArray | None  # (b, 3) N m s, of all impacts of an instant; None if it is unknown
-    # (3,) unit vector across the normal on the screen, along which velocities are drawn off their bodies
+    # (3,) unit vector across the normal on the screen, along which velocities are shifted from their bodies
     aside: FloatArray
     colours: BodyColours  # colours of the bodies, which are the same in the other views
     theme: str
@@ -105,9 +105,10 @@ class ShownPair:
         ]
 
     def _velocities(self, small: float) -> Iterable[LabelledArrows]:
-        """Yield the velocities before an impact, and then the velocities after it or, without an impact, of the step.
+        """Yield the velocities before an impact, and then the velocities after it or, without an impact, in the step.
 
-        They stand beside their bodies, where no impulse is; a body that is too large to be shown whole has none.
+        The arrows stand beside their bodies, away from impulses; a body that is too large to be shown whole has no
+        arrow.
         """
         if self.velocity is None:
             return
@@ -190,7 +191,7 @@ class ShownPair:
         return [line for path, line in lines.items() if path in drawn]
 
     def _impulses(self, contact: Contact) -> LabelledArrows:
-        """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
+        """Return the impulse on each body from its centre; if one body is many times larger, only on the smaller."""
         size = float(np.linalg.norm(contact.impulse))
         reach = impulse_radii(self.radius)
         drawn = (reach > 0.0) & (size > 0.0)
@@ -199,7 +200,7 @@ class ShownPair:
         if not drawn.any():
             return LabelledArrows(IMPULSE, self.position[drawn], vectors, [])
         text = in_digits(self.units, size, dimension.IMPULSE)
-        together = ", friction included" if contact.friction > _ROUNDING * size else ""  # tables list the normal one
+        together = ", friction included" if contact.friction > _ROUNDING * size else ""  # tables list the normal part
         if contact.force is None:
             return LabelledArrows(IMPULSE, self.position[drawn], vectors, [text + together], short=[text])
         force = in_digits(self.units, contact.force, dimension.FORCE)

@@ -1,4 +1,4 @@
-"""The camera of a close-up: from where two bodies and all arrows beside them are seen."""
+"""The camera of a close-up: a position from which two bodies and all arrows beside them are seen."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of t
 ROOM = 1.35  # half size of the view around each body, in its radii
 _ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
-_AROUND = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from it, nearest first
-SEEN = 0.5  # least length on the screen, over its length, of an arrow that is no speck
-_SHORT = 0.1  # of the longest arrow of its kind; a shorter arrow is a speck from anywhere
+_AROUND = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from `_USUAL`, nearest first
+SEEN = 0.5  # smallest ratio of an arrow's length on the screen to its length; below it, the arrow is a speck
+_SHORT = 0.1  # fraction of the longest arrow of a kind; a shorter arrow is a speck from any side
 # vertical part of the normal on the screen; velocities stand beside steeper normals, and above flatter normals
 _STEEP = 0.7
 
@@ -27,7 +27,7 @@ def shown_whole(radius: FloatArray) -> BoolArray:
 
 
 def lengths(vectors: FloatArray | None) -> FloatArray:
-    """Return the arrows (k, 3) of vectors (..., 3) that are not short, over the length of the longest."""
+    """Return those of the vectors (..., 3) that are not short, (k, 3), divided by the length of the longest."""
     if vectors is None:
         return np.zeros((0, 3))
     each = vectors.reshape(-1, 3)
@@ -37,9 +37,10 @@ def lengths(vectors: FloatArray | None) -> FloatArray:
 
 
 def direction(position: FloatArray, normal: FloatArray | None, *arrows: FloatArray) -> FloatArray | None:
-    """Choose the direction to the eye of bodies at (b, 3) m: the usual one, or the nearest that shows all arrows.
+    """Choose the direction to the eye of bodies at (b, 3) m: the usual direction, or the nearest that shows all arrows.
 
-    It is nearly perpendicular to the normal. ``arrows`` are (k, 3) each. Without a normal, the camera chooses.
+    The direction is nearly perpendicular to the normal. ``arrows`` are (k, 3) each. Without a normal, the result is
+    None, and the camera chooses.
     """
     if len(position) == 2 and normal is None:
         apart = position[1] - position[0]
@@ -56,7 +57,7 @@ def direction(position: FloatArray, normal: FloatArray | None, *arrows: FloatArr
 
 
 def fit(radius: FloatArray, position: FloatArray, to_eye: FloatArray | None) -> CameraFit:
-    """Fit the camera to both bodies; if one is many times larger, to the smaller."""
+    """Fit the camera to both bodies; if one is many times larger, only to the smaller."""
     if not shown_whole(radius).all():
         place = [int(np.argmin(radius))]
         return CameraFit(3.0 * radius[place], position[place], to_eye=to_eye)

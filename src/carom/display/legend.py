@@ -38,10 +38,10 @@ from carom.state.frame import Frame
 
 BODIES, GRAPH = "bodies", "graph"  # views
 _SPACE = (BODIES, GRAPH)
-MOST_NAMED = 7  # most bodies with an entry each, so that the scales of arrows remain visible
-_LEAST_NAMED = 2  # fewest lines about bodies that a legend has
+MOST_NAMED = 7  # largest number of bodies with an entry each, so that the scales of arrows remain visible
+_LEAST_NAMED = 2  # smallest number of lines about bodies in a legend
 
-_TINY = -6  # power of ten from which on the numbers of a scale have it as a common factor
+_TINY = -6  # largest power of ten that is written once, as a common factor of the numbers of a scale
 _KEPT = "\u00a0"  # a space at which no line is broken
 _ROW = 25.0  # points, distance from one line to the next
 _MARGIN = 5.0  # points, margin around the lines
@@ -90,13 +90,13 @@ class LegendContents:
     trails: bool = False
 
     def __or__(self, other: LegendContents) -> LegendContents:
-        """Return all that either of two contents draws."""
+        """Return the things that are drawn in either of two contents."""
         return LegendContents(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
 class MovieClock:
-    """The texts of the clock in the legend of a movie, each with the time from which it holds."""
+    """The texts of the clock in the legend of a movie, each with the time from which it applies."""
 
     times: FloatArray  # (k,) s
     texts: Sequence[str]  # (k,)
@@ -111,7 +111,7 @@ class Legend:
     clock: MovieClock | None = None
 
     def titled(self, title: str, clock: MovieClock | str = "") -> Legend:
-        """Return the lines below a title and a clock, or the text of a clock that stands still."""
+        """Return the lines below a title and a clock; if the clock is a text, it does not change."""
         ink = palette.INKS[self.theme]
         head = [LegendLine(title, ink, _SPACE)] if title and drawable(title) else []
         if isinstance(clock, MovieClock):
@@ -121,9 +121,9 @@ class Legend:
         return replace(self, entries=[*head, *self.entries], clock=clock if isinstance(clock, MovieClock) else None)
 
     def grouped(self, graph: str, more: Mapping[str, Sequence[LegendLine]]) -> Legend:
-        """Return the lines about all views, then the lines about the graph only, and more lines, below a heading each.
+        """Return the lines about all views, then groups with headings: lines about the graph only, and more lines.
 
-        Headings, and lines of the groups that may be left out, are the first to go where there is no room.
+        If there is no room, the headings and the optional lines of the groups are left out first.
         """
         ink, own = (
             palette.INKS[self.theme],
@@ -159,13 +159,13 @@ class Legend:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of the lines, in points; zeros without any."""
+        """Width and height of the lines, in points; zeros without lines."""
         if not self.entries:
             return 0.0, 0.0
         return max(entry.width for entry in self.entries) + 2.0 * _MARGIN, _ROW * len(self.entries) + 2.0 * _MARGIN
 
     def view(self, area: Area) -> rrb.Spatial2DView:
-        """Lay out the lines in a view of this size, or in a larger one."""
+        """Lay out the lines in a view of this size or in a larger view."""
         return rrb.Spatial2DView(
             name="Legend",
             origin=LEGEND,
@@ -427,7 +427,7 @@ def _middle(frame: Frame | None) -> float:
 
 
 def _levels(frame: Frame | None, middle: float) -> list[int]:
-    """Return the levels of the edges of a step, ascending, down or up to the middle; none if they are not known."""
+    """Return the levels of the edges of a step, ascending, with the middle level; none if they are not known."""
     if frame is None or frame.contact_rows is None or not middle:
         return []
     found = drawing.level(frame.contact_rows["normal_impulse"], middle).tolist()

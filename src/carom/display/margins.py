@@ -96,7 +96,7 @@ def moving(drawn: Sequence[Static], view: View, poses: Sequence[View], times: Fl
 
 
 def _carried(places: FloatArray, view: View, poses: Iterable[View]) -> Iterator[FloatArray]:
-    """Yield the points (k, 3) m that are where ``places`` are in a view, for each of its poses."""
+    """Yield, for each pose, the points (k, 3) m that appear on the screen where ``places`` do in a view."""
     onto = (places - view.target) @ screen(view.to_eye, view.up).T
     for pose in poses:
         yield np.asarray(pose.target + onto @ screen(pose.to_eye, pose.up))

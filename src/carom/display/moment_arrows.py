@@ -1,4 +1,4 @@
-"""The arrows of a moment, of few bodies: which are drawn, where they end, and their numbers, moved apart."""
+"""The arrows of few bodies at a moment: the arrows that are drawn, their ends, and their numbers, moved apart."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def drawn_arrows(
     references: Mapping[str, float],
     hidden: Sequence[str],
 ) -> Sequence[Rows]:
-    """Return the rows of the arrows of a step, or an instant, of few bodies; nothing if the step is not known."""
+    """Return the rows of few bodies' arrows at a step or an instant; nothing if the step is not known."""
     frame, state = shown.frame, shown.state
     if frame is None or header.bodies > FEW:
         return ()

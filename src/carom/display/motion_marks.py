@@ -19,7 +19,7 @@ from carom.scene.wall_shapes import across, shape_called
 
 _LENGTH = 0.13  # length of an arrow, in heights of the view
 _THICK = 0.009  # radius of an arrow, in heights of the view
-_BESIDE = 0.55  # place of a plane's arrow left of the middle, in half widths of the view
+_BESIDE = 0.55  # distance of a plane's arrow from the middle of the view, in half widths of the view
 _OUTSIDE = 1.06  # radius of the arc around a rotating wall, in radii of the wall; also for the arrows of a box
 _ARC = np.linspace(-0.45, 0.45, 25)  # rad, from its beginning to its end, about the highest point
 _HEAD = 6  # number of points of the arc that its final arrow replaces
@@ -30,7 +30,7 @@ _Arrow = tuple[FloatArray, FloatArray]  # origin and vector, (3,) m
 def motion_marks(header: Header, origin: FloatArray, view: View, area: Area, time: float) -> Iterator[Static]:
     """Yield an arrow for each translating plane and wall, an arc for each rotating wall, two arrows for a sheared box.
 
-    An oscillation has an arrow both ways. ``origin``, (3,) m, is the origin of the recording, and ``time`` (s) is the
+    An oscillation has arrows both ways. ``origin``, (3,) m, is the origin of the recording, and ``time`` (s) is the
     moment.
     """
     length = _LENGTH * view.height()
@@ -65,7 +65,7 @@ def motion_marks(header: Header, origin: FloatArray, view: View, area: Area, tim
 
 
 def _ways(amplitude: object, velocity: object) -> list[FloatArray]:
-    """Return unit vectors along a motion: both ways of an oscillation, or that of a velocity; none at given times."""
+    """Return unit vectors along a motion: both ways of an oscillation, or the way of a velocity; otherwise none."""
     swing, drift = np.asarray(amplitude, dtype=np.float64), np.asarray(velocity, dtype=np.float64)
     if swing.any():
         return [sign * swing / np.linalg.norm(swing) for sign in (-1.0, 1.0)]

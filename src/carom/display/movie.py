@@ -46,13 +46,13 @@ FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
 _FRAMES_EACH = 20  # number of pictures that justify another viewer, whose start takes seconds
-_LOOKS = 50  # frames among which a legend finds a free corner
-_PICTURES_EACH = 4  # fewest pictures for each impact around which a movie is slow
+_LOOKS = 50  # number of frames that are searched for a free corner for the legend
+_PICTURES_EACH = 4  # smallest number of pictures for each impact around which a movie is slow
 _SLOW_EACH, _MOST_SLOW = 0.05, 0.5  # largest fractions of a movie, around each impact and around all impacts
 _AROUND = 0.02  # largest fraction of the shown time that is slow before and after an impact
 _PACE = 4  # number of pictures before and after a picture from which its pace is measured
 _SLOW = 2.0  # the clock says how slow a part of a movie is if it is this many times slower than the fastest part
-_MOST_DIGITS = 9  # most digits after the point
+_MOST_DIGITS = 9  # largest number of digits after the decimal point
 _LIMIT = 60.0  # s, time limit for a picture to settle
 
 

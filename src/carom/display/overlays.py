@@ -100,7 +100,7 @@ _SERIES = {
     "rms": ("difference/rms", "rms distance", LENGTH, palette.LINES["red"]),
     "energy": ("difference/energy", "energy difference", ENERGY, palette.LINES["blue"]),
 }
-_LARGEST = 100_000_000  # most bytes of positions; if a recording has more, every k-th frame is shown
+_LARGEST = 100_000_000  # largest size of positions in bytes; if a recording has more, every k-th frame is shown
 _BATCH = 4_000_000  # bytes of a batch
 _SEEN = 0.02  # shortest line, in median radii: shorter lines are hidden inside the spheres
 _HALO = 1.04  # scale of B's spheres: at equal size, A's spheres would hide them
@@ -230,7 +230,7 @@ def _panels(units: UnitSystem) -> rrb.Vertical:
 
 TRADEOFF_PROPERTY = "tradeoff"
 
-PATHS_UP_TO = 20  # most bodies with paths; with more bodies, only positions are drawn, in the colours of the runs
+PATHS_UP_TO = 20  # largest number of bodies with paths; with more, only positions are drawn, in the runs' colours
 _ROWS = (3, 2)  # heights of the bodies and of the curves below them
 _COLUMNS = (2, 3)  # widths of the bodies and of the curves beside them
 SMALLEST = 1e-17  # value that replaces the distance 0 on a logarithmic scale
@@ -242,7 +242,7 @@ class ComparedTrajectory:
 
     name: str
     position: FloatArray  # (K, n, 3) m
-    distance: FloatArray  # (K',) distance relative to the size of the system; K' ≤ K, as far as the reference extends
+    distance: FloatArray  # (K',) distance relative to the size of the system; K' ≤ K, up to the end of the reference
     family: str = ""  # the engine that made the run; runs of one engine share a colour
 
 
@@ -256,9 +256,9 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
     time
         (K,) s.
     trajectories
-        The reference first, which is drawn in grey. Each other family has a colour, and each run without a family has
-        one, too. Among runs that share a colour, the first has a wide curve. A few bodies are filled with their own
-        colours, and have wires and paths in the colour of the run.
+        The reference, drawn in grey, and then the other runs. Each of their families has a colour, and so has each run
+        without a family. Among runs that share a colour, the first has a wide curve. A few bodies are filled with their
+        own colours, and have wires and paths in the colour of the run.
     """
     title, radius = space.scene.title, space.state.radius
     bodies = None  # colours of few bodies: by material or by group
@@ -299,7 +299,7 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
         camera.look(position)
         areas = WINDOW.area(down=_ROWS[0] / sum(_ROWS)), WINDOW.area(across=_COLUMNS[0] / sum(_COLUMNS))
         views = [(camera.view(area.aspect), area) for area in areas]
-        shown = [area.height / view.height() for view, area in views]  # px a metre
+        shown = [area.height / view.height() for view, area in views]  # px per metre
         beside = shown[1] > shown[0]
         width = WINDOW.width * (_COLUMNS[1] / sum(_COLUMNS) if beside else 1.0)
         curves = rrb.TimeSeriesView(

@@ -124,7 +124,7 @@ class Shot:
 def try_to_render(recording: Recording, shots: Sequence[Shot], size: tuple[int, int] = (1000, 640)) -> str:
     """Render moments of a recording, in order of time, with one viewer.
 
-    Return the reason if a picture fails, such as a missing driver; otherwise nothing. Earlier pictures are kept.
+    Return the reason if a picture fails, such as a missing driver; otherwise an empty text. Earlier pictures are kept.
     """
     canvas, last = Canvas(*size, framed=False, rendered=True), ""
     try:
@@ -179,10 +179,10 @@ def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
 def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterator[Viewer]:
     """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left.
 
-    Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. Neither does the headless
-    mode use the system's fonts, and it ends at a character that Rerun's own font lacks. A viewer with a window on a
-    virtual screen supports themes and pictures. Raises RecordingError if there is no Vulkan driver, or no Xvfb where
-    one is needed.
+    Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. The headless mode also
+    ignores the system's fonts, and the viewer ends at a character that Rerun's own font lacks. A viewer with a window
+    on a virtual screen supports themes and pictures. Raises RecordingError if there is no Vulkan driver, or no Xvfb
+    where one is needed.
     """
     window = ("--window-size", f"{size[0]}x{size[1]}")
     if theme == "dark" and has_all_glyphs(recording):
@@ -201,7 +201,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
     kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
     # RUST_LOG: a viewer with a window shows its log in boxes over the picture
     environment = {**kept, "XDG_DATA_HOME": str(folder), "RUST_LOG": "off"}
-    # the pointer starts in the middle of the screen: move it out of the window, where it points at nothing
+    # the pointer starts in the middle of the screen; on a screen twice as large, this is outside the window
     screen = f"{2 * (size[0] + 1)}x{2 * (size[1] + 1)}"
     with Viewer("--persist-state", *window, screen=screen, folder=folder, environment=environment) as viewer:
         viewer.note_ends = time.monotonic() + _NOTE
@@ -209,7 +209,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
 
 
 def stable_picture(viewer: Viewer, view: str | None) -> bytes:
-    """Take pictures until two are equal, since the viewer loads in parts; return the last picture."""
+    """Take pictures until `_ALIKE` in a row are equal, since the viewer loads in parts; return the last picture."""
     alike, last = 0, b""
     end = time.monotonic() + _LIMIT
     while alike < _ALIKE:

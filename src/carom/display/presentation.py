@@ -144,11 +144,11 @@ def presentation(
     within
         The step that the moment belongs to, if it is the end of one step and the beginning of the next.
     at_own_time
-        Whether to pause within the step, where the pair meets; by default only if the moment is that time, otherwise at
-        the end of the step.
+        Whether to pause within the step, when the pair meets, rather than at its end; by default only if the pair meets
+        at the moment.
     pair
-        The bodies of the close-up view; by default the bodies of the step's hardest impact, or else of the run's,
-        unless they wait to enter.
+        The bodies of the close-up view; by default the bodies of the step's hardest impact, or else of the run's
+        hardest impact, unless they wait to enter.
     colour_by
         The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     by_stage
@@ -188,7 +188,7 @@ def presentation(
     written = ""
     if canvas.rendered:
         written = f"t = {header.units.text(paused.time, TIME, '.9g')}"
-        if paused.time < step.time:  # events and plots have the time of its end
+        if paused.time < step.time:  # events and plots have the time of the step's end
             written += f", in the step to {header.units.text(step.time, TIME, '.6g')}"
         written += _what_happens(recording, step, paused, chosen)
     close = None
@@ -301,7 +301,7 @@ def presentation(
 
 
 def _what_happens(recording: Recording, step: ShownStep, paused: ShownStep, pair: Pair | None) -> str:
-    """Say what happens at the moment: who meets, how many touch, or that the run ends."""
+    """Say what happens at the moment: which bodies meet, how many touch, or that the run ends."""
     hardest = pair_of_extreme(recording, "impact") == pair
     hardest = hardest and recording.closing.get("moments.impact.step") == step.step
     if pair is not None and (paused is not step or hardest):

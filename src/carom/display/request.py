@@ -37,7 +37,7 @@ class Request:
 
     at: float | None = None  # s
     event: str | None = None  # name of an event, whose bodies the close-up view shows
-    # bodies of the close-up view: two numbers or names with a comma, or one for a body on a plane
+    # bodies of the close-up view: two numbers or names separated by a comma, or one for a body on a plane
     bodies: str | None = None
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
@@ -52,7 +52,7 @@ class Request:
 
 
 def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
-    """Return the ends of the contact with the largest impulse, friction included, or of the first; None without any."""
+    """Return the ends of the contact with the largest impulse, or of the first contact; None without any."""
     graph = frame.contacts
     if not len(graph):
         return None
@@ -69,7 +69,7 @@ Watcher = Callable[[StepStatus], None]
 
 PATIENCE = 60.0  # s of repeated steps, for a step without a frame
 IMPATIENCE = 10.0  # s of repeated steps, for a step with a frame
-_MOST_BYTES = 50_000_000  # bytes of the frames between two recorded frames
+_MOST_BYTES = 50_000_000  # bytes, largest size of the frames between two recorded frames
 _BODY_BYTES = 300  # bytes of a body in a frame
 
 
@@ -170,7 +170,7 @@ def at_impact(
     *,
     at_end: bool = False,
 ) -> ShownStep | None:
-    """Return the instant of an impact within a repeated step; None if the pair has none before its end.
+    """Return the instant of an impact within a repeated step; None if the pair has no impact before the step ends.
 
     The frame of the instant holds positions and contacts, and its state holds the quantities that jump at the instant.
     Among several impacts of the pair, the nearest to the time ``near`` (s) is chosen, and among equally near ones the

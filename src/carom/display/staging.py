@@ -37,7 +37,7 @@ from carom.scene.units.system import UnitSystem
 
 _LOOKS = 50  # number of frames, with many bodies, to which the camera is fitted
 MOST_BANDS = 100
-MOST_POINTS = 1000  # most points of impacts; with more, the software driver takes seconds for a picture
+MOST_POINTS = 1000  # largest number of points of impacts; with more, the software driver takes seconds for a picture
 _BANDS = (palette.IMPACTS, palette.YELLOW)  # colours of alternate impacts
 MOST_NAMES = 16
 _ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
@@ -224,7 +224,7 @@ def axes_and_field(
     radius: FloatArray,
     legend: tuple[int, int] | None = None,
 ) -> Iterator[Static]:
-    """Draw the axes of space at the lower border of a view, with their length, and a uniform field at the upper.
+    """Draw the axes of space at the lower border of a view, with their length, and a uniform field at the upper border.
 
     The axes are the scale of the picture: their length is a round number. Each arrow is on the side where it covers
     fewer of the ``drawn`` points, (k, 3) m with radii (k,) m, and on the left if the sides are equal. In a corner with
@@ -246,7 +246,7 @@ def axes_and_field(
         if legend is not None and legend[1] * start > 0.0:
             aside[int(legend[0] > 0)] = -2.0 * legend[1] * area.inset_share[1]
         sides = [np.array([x * 0.72 * area.aspect, middle + down]) for x, down in zip((-1.0, 1.0), aside, strict=True)]
-        # if both sides would cover something: between the sides, and half way up
+        # in case both sides would cover something: places between the sides, and halfway up
         free = [x for x in (-1.0, 1.0) if legend is None or legend[0] * x < 0.0]
         sides += [np.array([0.0, middle]), *(np.array([x * 0.72 * area.aspect, 0.0]) for x in free)]
         aside = np.pad(aside, (0, len(sides) - 2))
@@ -305,7 +305,7 @@ def names_that_fit(header: Header, position: FloatArray, view: View, area: Area)
 
 
 def _numbered(names: Sequence[str]) -> list[str]:
-    """Return the names, of which those that differ only by a number at their end, such as "ball 7", are the number."""
+    """Return the names; names that differ only by a number at their end, such as "ball 7", become this number."""
     parts = [re.fullmatch(r"(.*\D)(\d+)", name) for name in names]
     stems = Counter(part[1] for part in parts if part is not None)
     usual = stems.most_common(1)[0][0] if stems else ""

@@ -72,9 +72,9 @@ class Supplement:
             stream.disconnect()
 
 
-_MOST_FRAMES = 2000  # most frames of a path; if there are more, every k-th frame is used
-_TANGLED = 20.0  # length of all paths, relative to the size of the space that they fill, from which they are a tangle
-_POINTS = 1000  # fewest points of a smooth path: integrators of high order take long steps
+_MOST_FRAMES = 2000  # largest number of frames in a path; if there are more, every k-th frame is used
+_TANGLED = 20.0  # paths that are longer in total than this, in sizes of the space that they fill, are a tangle
+_POINTS = 1000  # smallest number of points of a smooth path, since integrators of high order take long steps
 
 
 class Trails:
@@ -104,7 +104,7 @@ class Trails:
         self.recent = None if untouched else self._untangled()
 
     def _untangled(self) -> float | None:
-        """Return the time (s) for which paths are drawn, if all of them would be a tangle that hides the bodies."""
+        """Return the time (s) for which paths are drawn if whole paths would be a tangle that hides the bodies."""
         pieces = np.linalg.norm(np.diff(self._position, axis=0), axis=2)
         size = float(np.ptp(self._position, axis=(0, 1)).max(initial=0.0))
         total = float(pieces.sum(where=pieces < 0.5 * size))  # longer pieces cross the border of a box
@@ -164,7 +164,7 @@ def has_trails(recording: Recording) -> bool:
     return len(recording.shown) <= FEW and recording.frames > 1
 
 
-MOST = 12  # most curves that can be distinguished
+MOST = 12  # largest number of curves that can be distinguished
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,7 +155,7 @@ class Viewer:
         time.sleep(max(0.0, self.note_ends - time.monotonic()))
 
     def outlast(self, seconds: float) -> None:
-        """Wait for some seconds; raise RecordingError if the viewer ends: it listens before it has a window."""
+        """Wait for some seconds; raise RecordingError if the viewer ends, since it listens before it has a window."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
         self._fail_if_ended()

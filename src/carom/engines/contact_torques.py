@@ -18,7 +18,7 @@ from carom.arrays import FloatArray
 from carom.engines.engine_contacts import lengths
 from carom.engines.faults import MOSTLY, SPIN, SPREADS, Broken, BrokenThen
 
-FEWEST = 8  # fewest torques that show an engine's habit
+FEWEST = 8  # smallest number of torques that show an engine's habit
 RUBBED = 0.05  # smallest compared torque, divided by the impulse times its arm
 CLEAR = 20.0  # smallest clear torque, in multiples of the noise of an impulse
 OFF = 0.05  # smallest deviation of a fault, divided by the torque
@@ -84,7 +84,7 @@ class ContactTorques:
             )
 
     def _above(self, off: FloatArray, allowed: float, what: str) -> Iterator[BrokenThen]:
-        """Yield the torques whose deviations exceed the allowed one.
+        """Yield the torques whose deviations exceed the allowed deviation.
 
         If every torque on a body deviates, a torque that may be a resistance to rolling counts as such.
         """

@@ -12,7 +12,7 @@ from carom.engines.source import Setup
 
 TINY = float(np.finfo(np.float64).tiny)  # replaces 0 as a divisor
 # In MuJoCo, soft contacts of a body with several others return up to three times the energy that they absorbed, because
-# each spring has the stiffness of a contact alone. Overlaps of soft contacts are in smaller radii.
+# each spring has the stiffness of a contact alone. Such contacts overlap by more than `DEEP`, in smaller radii.
 COUPLED, DEEP = 3.0, 0.05
 # Fraction of an overlap that engines turn into speed in a step to part the bodies: 0.2 in ODE, Bullet and Box2D.
 PARTED = 0.25

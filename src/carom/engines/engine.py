@@ -98,13 +98,13 @@ def problem_of(engine: str, scene: Scene) -> Problem:
 
 
 def refuse(engine: str, lacks: dict[str, bool]) -> None:
-    """Raise ExperimentError if a scene has anything that an engine lacks."""
+    """Raise ExperimentError if a scene has a feature that an engine lacks."""
     found = [what for what, there in lacks.items() if there]
     if found:
         raise ExperimentError(f"{engine} cannot represent this scene: {', '.join(found)}")
 
 
-FINER = (1.0, 4.0)  # factors by which compared steps are shorter than the scene's
+FINER = (1.0, 4.0)  # factors by which the compared steps are shorter than the scene's step
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +240,7 @@ def engines_called(names: Iterable[str]) -> list[Engine]:
 
 ROUNDING = 1e-9  # fraction of the duration by which the sum of the steps may fall short
 COMPLETED = "completed"
-MOST_SEEN = 20_000  # most steps that are examined if nothing can touch
+MOST_SEEN = 20_000  # largest number of steps that are examined if nothing can touch
 MOST_OVERLAP = 0.05  # overlap, in smaller radii, above which engines treat contacts differently
 FRAMES = 600  # frames of a recording, besides the frames that violate a law
 

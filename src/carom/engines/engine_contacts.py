@@ -120,8 +120,8 @@ class EngineMoment:
     velocity: FloatArray  # (n, 3) m/s
     spin: FloatArray  # (n, 3) rad/s, spins; (0, 3) if unknown
     orientation: FloatArray  # (n, 4) xyzw, orientations; (0, 4) if unknown
-    force: FloatArray  # (n, 3) N, forces, then torques in N m, in the step that ends at this moment; (0, 3) if unknown
-    torque: FloatArray
+    force: FloatArray  # (n, 3) N, forces in the step that ends at this moment; (0, 3) if unknown
+    torque: FloatArray  # (n, 3) N m, torques in the same step; (0, 3) if unknown
 
     def kinetic(self, setup: Setup) -> FloatArray:
         """Return the kinetic energy of every body, (n,) J."""

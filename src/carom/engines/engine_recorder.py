@@ -66,9 +66,9 @@ class Recorder:
     path
         The ``.rrd`` to write.
     last
-        Number of last frames that are kept in memory, instead of recording all. They are written when a state is not
-        finite, when the time decreases (as in MuJoCo, which resets itself), when an exception leaves the context, when
-        the program ends before `finish`, and by `write`.
+        Number of last frames that are kept in memory, instead of recording all frames. They are written when a state is
+        not finite, when the time decreases (as in MuJoCo, which resets itself), when an exception leaves the context,
+        when the program ends before `finish`, and by `write`.
     every
         Record one of this many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
         200 bodies or more.
@@ -90,8 +90,7 @@ class Recorder:
     Raises
     ------
     RecordingError
-        If the units are invalid, the path cannot be written, or the source or its present state is no valid run of
-        bodies.
+        If the units are invalid, the path cannot be written, or the source or its present state is invalid.
     """
 
     def __init__(
@@ -137,7 +136,7 @@ class Recorder:
         self._tolerances = tolerances or Tolerances()
         self._calls = 0
         self._time = -np.inf
-        self._ended = ""  # reason why no more frames are accepted; empty while they are
+        self._ended = ""  # reason why no more frames are accepted; empty while frames are accepted
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
         first = source.state()
         self._model = source.model  # model of the first bodies

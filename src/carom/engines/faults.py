@@ -1,4 +1,4 @@
-"""Broken laws of another engine, before and after they are reported, and the errors that break none."""
+"""Broken laws of another engine, before and after they are reported, and the errors that break no law."""
 
 from __future__ import annotations
 

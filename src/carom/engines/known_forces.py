@@ -12,7 +12,7 @@ from carom.engines.engine_contacts import EngineMoment, Near, lengths
 from carom.engines.source import Setup
 
 ALIKE = 0.02  # largest relative deviation of a free body's damping rate from the common law
-SEVERAL = 6  # fewest losses, over several bodies or frames, that show a law
+SEVERAL = 6  # smallest number of losses, over several bodies or frames, that show a law
 RECENT = 60  # number of recent losses that are compared
 LEAST = 1e-6  # smallest measurable loss of speed in a frame, relative to the speed; smaller losses are rounding
 MOVING = 0.05  # speed, relative to the largest, below which no rate is measured

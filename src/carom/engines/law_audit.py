@@ -55,12 +55,12 @@ class AuditFinding:
 STILL = 0.05  # fraction of the typical speed below which touching bodies may rest in a balance of forces
 AT_LEAST = 1e-2  # smallest change, relative to a typical body's momentum or energy, that is not noise
 OFF_AXIS = 0.3  # largest distance of a contact's impulse from the normal, relative to the arm
-UNSEEN = 4 * float(np.finfo(np.float64).eps)  # relative change of a position that shows motion between frames
+UNSEEN = 4 * float(np.finfo(np.float64).eps)  # smallest relative change of a position that shows motion between frames
 TURNED = 0.05  # relative error of a rotation in a frame, since engines integrate rotations to first order
 ROUNDED = 1e-5  # rad, rounding of orientations in single precision
 MOST_TURN = 0.5  # rad; engines limit or approximate larger rotations in one step
-MOST_NAMED = 8  # most bodies that a sentence names
-TOLD = 3  # most events that are reported for each law
+MOST_NAMED = 8  # largest number of bodies that a sentence names
+TOLD = 3  # largest number of events that are reported for each law
 
 
 class LawAudit:
@@ -416,7 +416,7 @@ class LawAudit:
             self.note(self._fault((step, time), broken))
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
-        """Book the impacts, given the closing speeds of pairs in m/s, which are 0 for other pairs."""
+        """Record the impacts, given the closing speeds of all pairs in m/s, which are 0 for pairs without an impact."""
         struck = 0.5 * closing**2 * reduced_masses(self._setup, near)
         found.struck, found.impacts = float(struck.sum()), int(np.count_nonzero(struck))
         hardest = int(np.argmax(struck))

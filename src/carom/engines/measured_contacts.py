@@ -4,7 +4,7 @@ If the bodies that may have touched between two frames form a tree of at most th
 momenta (`single_contacts`). Each quantity has a value for each order of these contacts and each possible normal. The
 table has the median of these values, and the largest deviation from it as the uncertainty. If isolated impacts of the
 same materials agree best for one choice of normal and field, the table has the value of this choice. An impact of a
-soft contact lasts for several frames: the first frame gives its approach, the last its rebound.
+soft contact lasts for several frames: the first frame gives its approach, and the last frame its rebound.
 """
 
 from __future__ import annotations
@@ -190,7 +190,7 @@ class _Impact:
 
     @property
     def ways(self) -> FloatArray:
-        """The possible restitution coefficients, (`WAYS`,), of an isolated impact in one frame; empty for others."""
+        """The possible restitution coefficients, (`WAYS`,), of an isolated impact in one frame; otherwise empty."""
         one = self.parts[0]
         isolated = len(self.parts) == 1 and len(one.closing) == WAYS and bool((one.closing > self.first.slow).all())
         return np.asarray(one.parting / one.closing if isolated else np.empty(0))
@@ -257,7 +257,8 @@ def _spread(values: FloatArray) -> tuple[float, float]:
 def measured_impacts(recording: Recording, start: float | None = None, end: float | None = None) -> pa.Table:
     """Return the impacts of an interval (s), as `Recording.impacts` does, with `COEFFICIENTS`.
 
-    Impacts in clusters with more contacts have no row; the metadata have the number of such impacts under `UNSOLVED`.
+    Impacts in clusters whose impulses are unknown have no row; the metadata have the number of such impacts under
+    `UNSOLVED`.
     """
     first, last = interval(recording, start, end)
     found, unsolved = list[_Impact](), 0

@@ -1,4 +1,4 @@
-"""Impacts that an engine missed: bodies passed through each other, or closed unchanged for unusually long.
+"""Impacts that an engine missed: bodies passed through each other, or closed at unchanged speed for unusually long.
 
 Engines that find contacts at the start of a step resolve each impact one step after the bodies meet; other engines take
 more steps for some impacts. An impact counts as missed only if it took longer than impacts usually take in this engine,
@@ -21,12 +21,12 @@ TUNNELLED = 0.5  # fraction of the closing speed that bodies keep if they pass t
 FOUND = 5e-3  # overlap, in smaller radii, from which even a soft contact must exert a force
 SHALLOW = 1e-3  # overlap, in smaller radii, below which bodies have no elastic energy
 OFTEN, RARELY = 20, 0.05  # number of impacts that show an engine's habit, and allowed fraction of exceptions
-ALIKE, FEWEST = 0.5, 4  # smallest speed of compared impacts, relative to the impact's, and fewest that must agree
+ALIKE, FEWEST = 0.5, 4  # smallest speed of compared impacts, relative to the impact, and least number that must agree
 MOSTLY = 0.5  # fraction of an engine's impacts that take the usual number of steps
 # Number of steps for which overlapping bodies may approach without an impulse. Box3D finds some pairs late: at most 4
 # steps in 30 runs.
 LONGEST = 6
-STUCK = 20  # frames for which one body may contain another's centre; soft contacts of MuJoCo part within 16
+STUCK = 20  # number of frames for which one body may contain another's centre; soft contacts of MuJoCo part within 16
 
 
 @dataclass(slots=True)
@@ -39,7 +39,7 @@ class Unresolved:
     speed: float  # m/s, closing speed
     excess: float  # ratio of the closing speed to the speed of slow contacts
     relative: FloatArray  # (3,) m/s, velocity of the second end relative to the first
-    steps: int = 1  # steps in which the overlapping ends closed unchanged
+    steps: int = 1  # steps in which the overlapping ends closed at unchanged speed
     pushed: bool = False  # whether another contact may have closed this one again
     passed: bool = False
     later: list[tuple[int, float]] = field(default_factory=list)  # steps, and times in s, of the later steps
@@ -144,7 +144,7 @@ class MissedImpacts:
             self._resolve(impact)
 
     def contained(self, place: tuple[int, float], near: Near, depth: FloatArray) -> Iterator[Inside]:
-        """Yield the pairs in which one end has held the other's centre for `STUCK` frames, given relative overlaps."""
+        """Yield the pairs in which one end has contained the other's centre for `STUCK` frames; depths are relative."""
         ends = len(self._setup) + len(self._setup.planes)
         before, self._inside = self._inside, {}
         for row in np.flatnonzero(depth > 1.0).tolist():

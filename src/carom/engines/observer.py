@@ -325,7 +325,7 @@ def header_of_source(
 
 
 def not_finite(setup: Setup, step: int, state: State) -> Fault | None:
-    """Name the first body whose state is not finite or would overflow; None if there is none."""
+    """Return a fault for the first body whose state is not finite or would overflow; None if there is none."""
     for name in ("position", "velocity", "orientation", "angular_velocity"):
         values = getattr(state, name)
         if values is None:

@@ -60,7 +60,7 @@ class Population:
         self._bodies_of_id = dict.fromkeys(ids.tolist(), 1)  # number of bodies so far with each id
 
     def find(self, state: State) -> Present:
-        """Return the bodies of a state: the same object as before if no body came or went. Raises RecordingError."""
+        """Return the bodies of a state: the same object as before if no body came or went; or raise RecordingError."""
         engine, known = self.whole.engine, self.present
         if state.ids is None:
             raise RecordingError(f"{engine}: the state has no ids, though the first state had some")
@@ -123,7 +123,7 @@ _AGAIN = " ("  # text before the number in the name of a body that reuses the id
 
 
 def ids_of(engine: str, ids: Any, count: int) -> IntArray:
-    """Return the ids of a state, (count,), each once."""
+    """Check and return the ids of a state, (count,), which must differ."""
     found = np.asarray(ids)
     if found.shape != (count,) or (count and not np.issubdtype(found.dtype, np.integer)):
         raise RecordingError(f"{engine}: ids must be {count} whole numbers, one for each body")

@@ -18,12 +18,12 @@ from carom.engines.faults import MOSTLY, RESTITUTION, SPREADS, Broken, BrokenThe
 from carom.engines.source import Setup
 
 ALIKE = 9  # impacts at neighbouring speeds that give the expected coefficient of restitution
-FEWEST = 3  # fewest impacts between the same materials
-SLOWER = 0.75  # fraction of an impact's speed; engines stop rebounds below a speed that states show only roughly
+FEWEST = 3  # smallest number of impacts between the same materials
+SLOWER = 0.75  # fraction of an impact's speed below which others are slower; engines stop rebounds below some speed
 # Smallest deviation of a coefficient of restitution. The coefficients of soft contacts vary by 0.07 with the phase.
 OFF = 0.1
 OVER = 0.05  # change of velocity in the next frame, over the impact's speed, that shows a lasting contact
-RIGID, RARELY = 10, 0.1  # fewest impacts of an engine with rigid contacts, and fraction that may outlast a frame
+RIGID, RARELY = 10, 0.1  # smallest number of impacts that shows rigid contacts, and fraction that may outlast a frame
 MOST_SAMPLES = 100_000  # impacts kept for comparison
 
 
@@ -34,12 +34,12 @@ class IsolatedImpact:
     step: int
     time: float  # s
     ends: tuple[int, int]
-    speed: float  # m/s, closing
+    speed: float  # m/s, closing speed
     restitution: float
     uncertainty: float  # uncertainty of the coefficient
 
     def differs(self, usual: float) -> float:
-        """Return the difference of the coefficient from another one, beyond its uncertainty."""
+        """Return the difference of the coefficient from the usual coefficient, beyond its uncertainty."""
         return abs(self.restitution - usual) - self.uncertainty
 
     def unlike(self, usual: float, allowed: float, source: str) -> Broken:
@@ -73,7 +73,7 @@ class Rebounds:
         for impact in self._pending:
             bodies = [end for end in impact.ends if end < n and not self._setup.fixed[end]]
             mass = self._setup.mass[bodies]
-            # a contact of both bodies has changed neither body more than another contact
+            # a contact between both bodies changes both, so the smaller change limits its impulse
             impulse = float((mass * lengths(now.velocity[bodies] - before.velocity[bodies] - field)).min())
             if impulse * float((1.0 / mass).sum()) > OVER * impact.speed:
                 self._lasting += 1
@@ -102,7 +102,7 @@ class Rebounds:
         return over >= RIGID and lasting <= RARELY * (over + lasting)
 
     def _outliers(self) -> Iterator[tuple[IsolatedImpact, Broken]]:
-        """Yield the impacts whose coefficient of restitution differs from impacts of the same materials and speed.
+        """Yield the impacts whose coefficients of restitution differ from those of similar impacts.
 
         A faulty coefficient differs from the coefficients of the next slower and the next faster impacts, since
         coefficients may depend on the speed.

@@ -18,7 +18,7 @@ from carom.engines.engine_contacts import EngineMoment, Near, cross, lengths
 from carom.engines.faults import FRICTION, MOSTLY, SPREADS, Broken, BrokenThen
 from carom.engines.source import Setup
 
-FEWEST = 20  # fewest sliding contacts that show μ
+FEWEST = 20  # smallest number of sliding contacts that show μ
 # slip that counts as sliding, relative to the largest speed at rest; soft friction lets a sticking contact creep
 SLIDING = 0.1
 CLEAR = 20.0  # smallest clear impulse, in multiples of its noise
@@ -26,7 +26,7 @@ ROUNDED = 1e-6  # rounding relative to m |v| in engines that compute in single p
 EXACT = 0.02  # single contacts are judged if most contacts deviate by at most this, relative to μ
 OFF = 0.1  # smallest deviation of a fault, relative to μ
 RARELY = 0.05  # fraction of the sticking contacts; if more of these exceed μ, the engine's static friction is larger
-MOST_FRAMES = 100_000  # most frames with samples
+MOST_FRAMES = 100_000  # largest number of frames with samples
 
 
 @dataclass(frozen=True, slots=True)

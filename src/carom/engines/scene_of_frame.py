@@ -25,14 +25,14 @@ from carom.scene.wording import counted
 
 SURE = 0.1  # largest uncertainty of a coefficient that is used although others are more certain
 DIGITS = 3  # digits of a measured coefficient; further digits are uncertain
-LEAST_STEPS = 100  # fewest engine steps that a scene lasts if the recording ends soon after the frame
+LEAST_STEPS = 100  # smallest number of engine steps in a scene if the recording ends soon after the frame
 
 
 def scene_of_frame(recording: Recording, at: float | None, command: str) -> str:
     """Return the text of a scene that begins with the recorded state at the end of the step that contains a time (s).
 
-    The default time is the frame before the worst broken law, or the first frame. For another engine,
-    the coefficients are measured from its impacts.
+    The default time is the frame before the worst broken law, or the first frame. For another engine, the coefficients
+    are measured from its impacts.
 
     Raises
     ------

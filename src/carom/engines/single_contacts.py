@@ -27,11 +27,11 @@ from carom.engines.rubbing_contacts import RubbingContacts
 from carom.engines.source import Setup
 from carom.physics.contact.islands import number_sets
 
-MOST = 3  # most contacts of a tree: four contacts have 24 orders, and one of these would explain nearly any outcome
+MOST = 3  # largest number of contacts in a tree; four have 24 orders, one of which would explain nearly any outcome
 IMPULSIVE = 0.02  # relative error of a contact's impulse; engines that correct positions add about 1 %
 DAMPED = 2e-3  # fraction of m |v| that an engine's damping may take in a frame: PyBullet takes 0.07 %
-RUBBED = 0.02  # smallest friction that is judged, beyond the turn of the normal, over the contact's impulse
-SPUN = 0.1  # error of a torque, over r |J_t|
+RUBBED = 0.02  # smallest judged ratio of friction to a contact's impulse, beyond the rotation of the normal
+SPUN = 0.1  # allowed error of a torque, relative to r |J_t|
 WAYS = 6  # variants for an isolated contact: three normals, and the field before or after it
 KEPT = 0.25  # fraction of J_n times the gain of speed; friction may dissipate as much as the contact keeps
 
@@ -49,7 +49,7 @@ class Measurement:
     point: FloatArray  # (3,) m
     direction: FloatArray  # (3,) unit vector from the first end to the second
     least: float  # N s, largest impulse that may come from damping
-    ease: float  # 1/kg, change of the closing speed by a normal impulse
+    ease: float  # 1/kg, change of the closing speed per normal impulse
 
 
 class ContactLaws:
@@ -208,7 +208,7 @@ class ContactTree:
                     first = self._slip(k, normal[k], v, w)
                     self._push(k, normal[k], v, w)
                     yield first, self._slip(k, normal[k], v, w)
-            if others:  # if all contacts are resolved at once, as by a solver with one target for each contact
+            if others:  # in case all contacts are resolved at once, by a solver with one target for each
                 v, w = self._v0 + share * self._field, self._w0.copy()
                 first = self._slip(k, normal[k], v, w)
                 for other in range(len(self._rows)):

@@ -40,7 +40,7 @@ STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at
 BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies
 PATIENCE = 0.02  # s after which a smaller batch is sent
 KIND = "not-recorded"  # kind of the events
-MOST_TEXTS = 20  # most different texts; further texts are only counted
+MOST_TEXTS = 20  # largest number of different texts; further texts are only counted
 
 
 class SnapshotWriter:
@@ -168,8 +168,7 @@ class SnapshotWriter:
         self._put(frame)
 
     def _put(self, frame: Frame) -> None:
-        # a note since the last frame that is earlier than this frame gets the time of this frame, as before the first
-        # frame
+        # a note from before this frame, such as a note from before the first frame, gets the time of this frame
         notes: list[Event] = []
         for event in self._unrecorded.events[self._noted :]:
             if event.step > frame.step:

@@ -66,8 +66,10 @@ class Model:
     friction: float | None = None  # Coulomb coefficient of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # units of all numbers, as in `Recorder`; empty for SI
-    damping: float | None = None  # 1/s, rates at which velocities and spins of all bodies decay; None if unknown:
-    angular_damping: float | None = None  # they are then measured if all free bodies share a rate
+    # 1/s, rates at which velocities and spins of all bodies decay; None if unknown: they are then measured, if all free
+    # bodies share a rate
+    damping: float | None = None
+    angular_damping: float | None = None
     every: int = 1  # default number of calls of `Recorder.frame` per recorded frame; above 1 if states are slow to copy
 
 
@@ -84,13 +86,14 @@ class State:
     # (n,) whole numbers that identify the bodies of this state, if bodies come and go; None: the bodies of the first
     # state
     ids: Any = None
-    mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; both may change during the run
-    radius: Any = None  # ends, and another begins
+    mass: Any = None  # (n,) kg, with ids: needed in states with new bodies; if it changes, another body begins
+    radius: Any = None  # (n,) m, under the same conditions as the mass
     names: Any = None  # (n,) with ids, as in `Model`, or empty; names and flags are read only for new bodies
     fixed: Any = None
     judged: Any = None
-    # applied forces, drag and compensation of gravity in the step up to this state: all but the uniform field, contacts
-    force: Any = None  # and `Model.damping`; (n, 3) N, in the first state, too, or None
+    # (n, 3) N, applied forces, drag and compensation of gravity in the step up to this state, without the uniform
+    # field, contacts and `Model.damping`; given in all states, including the first, or in none
+    force: Any = None
     torque: Any = None  # (n, 3) N m, in the world frame
 
 
@@ -246,7 +249,7 @@ def refuse_invalid_state(setup: Setup, first: State) -> None:
 
 
 def text_from(value: Any) -> str:
-    """Return a program's value as a text that a file can hold: half characters, which UTF-8 lacks, become escapes."""
+    """Return a program's value as a text that a file can hold: lone surrogates, which UTF-8 lacks, become escapes."""
     return str(value).encode("utf-8", "backslashreplace").decode("utf-8")
 
 

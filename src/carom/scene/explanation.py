@@ -24,9 +24,9 @@ from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 
 LONGEST = 80  # characters of a key or a given text that messages show and compare
-MOST = 4  # most places that a message lists
+MOST = 4  # largest number of places that a message lists
 ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # least similarity of keys within a section, and across sections
-SHORTEST = 3  # fewest characters of an abbreviated key
+SHORTEST = 3  # smallest number of characters of an abbreviated key
 OTHER_WORDS = {
     **dict.fromkeys(("sphere", "spheres", "ball", "balls", "particle"), "body"),
     **dict.fromkeys(("floor", "ground"), "plane"),
@@ -265,7 +265,7 @@ def _expected(path: KeyPath, units: UnitSystem) -> str:
         unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
         if unit == at.dimension.unit and not re.search("[1-9]", rest):  # the description has a default in SI
             text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
-    # the list itself, if the path ends with an index
+    # name the list itself if the path ends with an index
     name = next(key for key in reversed(path) if isinstance(key, str))
     return f" ({name}: {text})"
 

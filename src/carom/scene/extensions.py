@@ -28,7 +28,7 @@ def extensions_of(scene: SceneModel) -> dict[str, str]:
 
 
 def stamped(properties: Mapping[str, Any]) -> dict[str, str]:
-    """Return `extensions_of` the scene of a recording, from its properties."""
+    """Return the result of `extensions_of` for the scene of a recording, from its properties."""
     known = {key.removeprefix(PROPERTY): str(value) for key, value in properties.items() if key.startswith(PROPERTY)}
     return dict(sorted(known.items()))
 

@@ -142,5 +142,5 @@ def _add_notes(scene: SceneModel, index: int, each_bodies: list[SourcedBodies], 
 
 
 def _differs_in_ghosts(law: MotionLaw, facts: Facts) -> bool:
-    """Return whether bodies meet across the faces of the box only in REBOUND, or only here."""
+    """Return whether bodies meet across the faces of the box only in REBOUND, or only in carom."""
     return any(law.ghosts) if facts.box is None else not all(law.ghosts)

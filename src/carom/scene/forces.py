@@ -30,7 +30,7 @@ class ForceKind:
     flag: str = ""  # key in the properties of a recording; by default `has_` and the short name
     # whether the force accelerates all bodies at rest equally
     pushes: Callable[[SceneModel], bool] = lambda scene: False
-    differs: bool = False  # whether the force accelerates bodies at rest differently, so that they may meet and press
+    differs: bool = False  # whether bodies at rest accelerate differently, so that they may be pressed together
     damps: bool = False  # whether the force depends on velocities, and is solved within the drift
     part: str = ""  # part of the model that the energy series requires; by default the force itself
     # why ``model.force`` cannot switch the force on; empty if it can

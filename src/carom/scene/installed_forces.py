@@ -28,7 +28,7 @@ class BodyForce:
 
     section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
     acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
-    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, for a body of 1 kg; otherwise work is booked
+    potential: Callable[..., float] | None = None  # (x, y, z, p) → J/kg, for a body of 1 kg; or None
     # returns the fields of p from the section, in SI units
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of
     legend: str = ""  # legend of the force's energy; by default its name

@@ -10,8 +10,8 @@ drifts: on a Kepler orbit, the energy then oscillates only a quarter as much, bu
 step. Yoshida's fourth order consists of three leapfrog steps of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 -
 2 w₁ (Yoshida 1990, Phys. Lett. A 150, 262).
 
-Installed packages may add sequences of substeps. Two integrators are no such sequences: Gauss–Radau integration chooses
-its step by its error, Wisdom–Holman integration by the shortest orbit (`carom.physics.integrators.gauss_radau`,
+Installed packages may add sequences of substeps. Two integrators are not such sequences: Gauss–Radau integration
+chooses its step by its error, Wisdom–Holman integration by the shortest orbit (`carom.physics.integrators.gauss_radau`,
 `carom.physics.integrators.wisdom_holman`).
 """
 
@@ -50,7 +50,7 @@ class Integrator:
 
     @property
     def ends_with_forces(self) -> bool:
-        """Whether a kick uses the forces at the end of a step: the last kick, or the first of the next step."""
+        """Whether a kick uses the forces at the end of a step: the last kick, or the first kick of the next step."""
         return self.controls_error or self.substeps[-1].after != 0.0 or self.substeps[0].before != 0.0
 
     @property

@@ -51,11 +51,11 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wall_shapes import CONTENT, shape_called
 from carom.scene.wording import suggestion
 
-_LARGEST_BESIDES_BODIES = 4_000_000  # most characters of a scene, in addition to its bodies
-_LARGEST_BODY = 1000  # most characters of a [[body]] with all its keys, a long name and comments
-_COMMENTED = 200_000  # most characters of a text whose comments survive overrides; keeping them takes a second
+_LARGEST_BESIDES_BODIES = 4_000_000  # largest number of characters of a scene, besides its bodies
+_LARGEST_BODY = 1000  # largest number of characters of a [[body]] with all keys, a long name and comments
+_COMMENTED = 200_000  # largest number of characters of a text whose comments survive overrides; keeping them takes 1 s
 MOST_MESSAGES = 8
-_MOST_DETAILS = 1000  # most mistakes that are examined; a hostile text may contain a million
+_MOST_DETAILS = 1000  # largest number of mistakes that are examined; a hostile text may contain a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
@@ -156,7 +156,7 @@ class Scene(SceneModel):
 
 
 def load_scene(source: str | Path, overrides: list[str]) -> Scene:
-    """Load a scene from a TOML file, or a bundled scene by its name, with overrides as ``--set`` takes them.
+    """Load a scene from a TOML file, or a bundled scene by its name, with overrides in the syntax of ``--set``.
 
     Raises SceneError, which states file, line and key.
     """
@@ -213,7 +213,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
         raise SceneError(f"{source}:{line}: a key of more than {DEEPEST} parts")
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # not a TOMLDecodeError, since Python refuses numbers of thousands of digits
+    except ValueError as error:  # not only TOMLDecodeError, since Python refuses numbers of thousands of digits
         digits = re.search(r"\d{4301}", text) if "digits" in str(error) else None
         if digits:
             line = text.count("\n", 0, digits.start()) + 1
@@ -234,7 +234,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
 
 
 def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> Scene:
-    """Build a scene from a plain dictionary; errors name the key. for ``bodies`` see `scene_from_text`."""
+    """Build a scene from a plain dictionary; errors name the key. For ``bodies``, see `scene_from_text`."""
     if is_too_deep(data):
         raise SceneError(f"not a scene: {_TOO_DEEP}")
     try:
@@ -356,7 +356,7 @@ def _centre_of(scene: Scene, section: BodyData) -> Centre | None:
 def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
-    """Find the bodies of each [[bodies]] table; return the scene, and its text with numbers and digests of bodies."""
+    """Find the bodies of each [[bodies]] table; return the scene, and its text with their counts and digests."""
     sources, row, wrong = list[SourcedBodies](), 0, list[Callable[[], str]]()
     for index, section in enumerate(scene.bodies):
         try:
@@ -430,7 +430,7 @@ def _scene(
     material: Material | None
     try:
         material = next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
-    except (KeyError, TypeError, ValueError):  # mistakes in materials are also reported at that time
+    except (KeyError, TypeError, ValueError):  # mistakes in materials are reported then, too
         material = None
     columns = columns_of_arrays(arrays, name, material, units)
     prefix = {"name": name} if isinstance(name, str) else {}

@@ -61,7 +61,7 @@ def cube_root(x: FloatArray) -> FloatArray:
 
 
 def power(base: FloatArray, exponent: FloatArray | float) -> FloatArray:
-    """Return bᵖ for b > 0, to some parts in 10¹⁵."""
+    """Return bᵖ for b > 0, to a few parts in 10¹⁵."""
     return exponential(exponent * _log(base))
 
 

@@ -71,7 +71,7 @@ def starter() -> str:
     return (Path(__file__).parent / "starter.toml").read_text(encoding="utf-8")
 
 
-LARGEST_FILE = 64_000_000  # most bytes; enough for 400 000 [[body]] sections, which take half a minute to read
+LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
 PATIENCE = 30.0  # s, longest silence of a pipe
 RECORDED = b"RRF2"  # first bytes of a recording
 
@@ -194,7 +194,7 @@ def value_text(value: Any) -> str:
 
 def _string(text: str) -> str:
     """Quote text: TOML escapes the same characters as JSON, and DEL; unescaped, they would steer a terminal."""
-    text.encode()  # raises if the text has half a character
+    text.encode()  # raises if the text has a lone surrogate
     return escaped(json.dumps(text, ensure_ascii=False))
 
 

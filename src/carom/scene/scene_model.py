@@ -88,7 +88,7 @@ class SceneModel(Forces, Heading):
 
     @property
     def end(self) -> float:
-        """s, the time at which a run ends: the duration, or where its accuracy does if the scene asks for that."""
+        """s, the time at which a run ends: the duration or, if the scene requests it, the end of its accuracy."""
         ends_early = self.promise is not None and self.time.after_horizon == "end"
         return min(self.time.duration, self.promise.kept_until) if ends_early and self.promise else self.time.duration
 
@@ -120,7 +120,7 @@ class SceneModel(Forces, Heading):
         return [] if self.held is None else [bodies.notes for bodies in self.held.bodies]
 
     def _private(self, name: str) -> Any:
-        """Return a private attribute. Pydantic's own look-up takes 2 µs, and a starting run needs 250 of them."""
+        """Return a private attribute. Pydantic's own look-up takes 2 µs, and a starting run needs 250 look-ups."""
         assert self.__pydantic_private__ is not None, "Pydantic sets them before it validates the whole scene"
         return self.__pydantic_private__[name]
 
@@ -326,7 +326,8 @@ def check_materials(scene: SceneModel) -> None:
         check_name(("domain", "material"), scene.domain.material)
 
 
-# For each optional part of the model, the settings that it does not support, and their remedies; "" is REMOVE_ONE.
+# For each optional part of the model, the settings that it does not support, and their remedies; "" stands for
+# REMOVE_ONE.
 REMOVE_ONE = "remove one of them"
 WITHOUT_SHEAR = {
     "gravity": "bodies would fall through the box without end; set it to [0, 0, 0]",

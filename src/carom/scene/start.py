@@ -30,7 +30,7 @@ class InitialBodies:
 
 
 class EntryStates(NamedTuple):
-    """The states with which bodies enter; bodies that exist from the start have these states first."""
+    """The states with which bodies enter or, if they exist from the start, begin."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
@@ -75,7 +75,7 @@ class HalfSpaces:
 
     @property
     def driven(self) -> BoolArray:
-        """Which ends of contacts have a prescribed motion; numbers are those of `owner`."""
+        """Which ends of contacts have a prescribed motion, in the order of `owner`."""
         return np.zeros(len(self.owner), dtype=np.bool_)
 
     @property

@@ -14,7 +14,7 @@ from carom.scene.scene_file import parse_value
 
 Values = tuple[Any, ...]  # TOML values: numbers, strings, booleans, lists
 
-MOST_RUNS = 100_000  # most runs; a million runs took 8 GB and ten minutes before the first run began
+MOST_RUNS = 100_000  # largest number of runs; a million took 8 GB and ten minutes before the first run began
 TOO_MANY_RUNS = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNIT = r"[^\s:,\d\"'\[{][^:,\"'\[{]*?"

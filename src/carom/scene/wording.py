@@ -14,9 +14,9 @@ from itertools import accumulate
 from pathlib import Path
 from typing import overload
 
-MOST_LISTED = 8  # most bodies that a sentence lists by name
-MOST_QUOTED = 80  # most characters of a quoted text that is not a name
-MOST_TOLD = 1000  # most characters of the text of an error
+MOST_LISTED = 8  # largest number of bodies that a sentence lists by name
+MOST_QUOTED = 80  # largest number of characters of a quoted text that is not a name
+MOST_TOLD = 1000  # largest number of characters of an error's text
 _PLAIN_WORD = re.compile("[A-Za-z0-9][A-Za-z0-9.+!_-]{0,79}")  # characters of packages' names and versions
 # control characters except tab and line feed, marks of the direction of writing, and lone surrogates
 _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -47,7 +47,7 @@ def command_of_a_file(text: str) -> str:
 
 
 def in_one_line(text: str) -> str:
-    """Return a text of a file without control characters and line feeds, so that it cannot look like other lines."""
+    """Return a text from a file without control characters and line feeds, so that it cannot look like other lines."""
     return " ".join(escaped(text).split())
 
 
@@ -60,22 +60,22 @@ def told_by(error: BaseException) -> str:
 
 
 def one_word(text: str) -> str:
-    """Return a name or a version of a file: unchanged if it looks like one, else its beginning as one quoted word."""
+    """Return a name or version from a file: unchanged if it looks like one, else its beginning as one quoted word."""
     return text if _PLAIN_WORD.fullmatch(text) else shlex.quote(in_one_line(text[:MOST_QUOTED]))
 
 
 def hypertext(text: str) -> str:
-    """Return a text of a file for a page: without tags, and with control characters as escapes."""
+    """Return a text from a file for a page: without tags, and with control characters as escapes."""
     return html.escape(escaped(text))
 
 
 def literal(text: str) -> str:
-    """Return a text of a file as one line of Markdown in which every character stands for itself."""
+    """Return a text from a file as one line of Markdown in which every character stands for itself."""
     return _LINE_MARKS.sub(r"\1\\\2", _MARKS.sub(r"\\\g<0>", in_one_line(text)))
 
 
 def in_figure(text: str) -> str:
-    """Return a text of a file as one line for matplotlib, which reads a text between two ``$`` as a formula."""
+    """Return a text from a file as one line for matplotlib, which reads a text between two ``$`` as a formula."""
     return in_one_line(text).replace("$", r"\$")
 
 

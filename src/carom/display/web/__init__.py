@@ -49,7 +49,7 @@ _SCRIPT_STARTS, _SCRIPT_ENDS = b"let wasm_bindgen = (function(exports)", b"})({ 
 _MODULE_STARTS = b"\0asm\x01\0\0\0"
 _LAST_SECTION = 13
 _NO_WEB_VIEWER = "the installed rerun-sdk holds no web viewer that carom can read; install the version that carom names"
-_NAMES = (HOST, "localhost")  # hosts that requests may name; other names come from pages that were rebound to 127.0.0.1
+_NAMES = (HOST, "localhost")  # hosts that requests may name; other names come from pages that use DNS rebinding
 _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
 
 
@@ -207,7 +207,7 @@ class _Server(ThreadingHTTPServer):
     link = ""
 
     def knows_us(self, peer: tuple[str, int] | None = None) -> bool:
-        """Return whether a connection, by default a new one of this process, is recognised as one of this user."""
+        """Return whether a connection, by default a new one of this process, is recognised as this user's."""
         here = (HOST, self.server_port)
         if peer is not None:
             return is_ours(peer, here)

@@ -68,7 +68,7 @@ class Box3DSource:
         judged = [size is not None and not size[1] and not jointed for size in known]
         self._forces = Box3DForces(self._backend, world, chosen, judged, planes) if contacts else None
         mass = np.array([body.mass for body in chosen])
-        # bodies without a sphere are drawn with the radius of a sphere of water of the body's mass
+        # bodies without a sphere are drawn as spheres of water of the same mass
         water = (3.0 * np.maximum(mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0)
         self.model = Model(
             engine=_version(),
@@ -286,7 +286,7 @@ class Box3DForces:
         return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
     def _plane(self, normal: FloatArray, point: FloatArray, near: float) -> int:
-        """Return the end of the nearest plane with this normal within ``near`` m of a point (3,) m; -1 without one."""
+        """Return the end of the nearest plane with this normal within ``near`` m of a point (3,) m; -1 if none."""
         off = np.abs(self._normal @ point - self._offset)
         own = np.flatnonzero((off < near) & (self._normal @ normal > 1.0 - _PARALLEL))
         return len(self._bodies) + int(own[np.argmin(off[own])]) if len(own) else -1

@@ -55,7 +55,7 @@ class NewtonSource:
         count = np.bincount(owner[owner != WORLD], minlength=len(mass))
         radius = np.zeros(len(mass))
         radius[owner[sphere]] = scale[sphere, 0]
-        tied = np.zeros(len(mass), bool)  # whether a body has a joint other than a free one
+        tied = np.zeros(len(mass), bool)  # whether a body has a joint other than a free joint
         jointed = np.stack((model.joint_parent.numpy(), model.joint_child.numpy()))
         jointed = jointed[:, model.joint_type.numpy() != int(package.JointType.FREE)]
         tied[jointed[jointed != WORLD]] = True

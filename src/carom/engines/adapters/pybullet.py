@@ -198,7 +198,7 @@ def pybullet(
 
 
 def calls_per_frame(bodies: int) -> int:
-    """Return the number of steps per frame, so large that copying the states takes a small fraction of the time."""
+    """Return the number of steps per frame: enough for copying the states to take only a small fraction of the time."""
     return min(SELDOM, 1 + bodies // SLOW)
 
 

@@ -34,7 +34,7 @@ from carom.scene.units.system import WITHOUT, UnitSystem, units_of_rebound
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own constant differs in the fifth digit
 READ = ("x", "y", "z", "vx", "vy", "vz")  # names of the first numbers of a particle in memory
-# the numbers `READ` of a particle as one item, which is copied six times as fast
+# the numbers `READ` of a particle as one item, which is copied six times as fast as the numbers
 ROW = np.dtype((np.void, 8 * len(READ)))
 
 
@@ -67,7 +67,7 @@ class ReboundSource:
         has_gravity = _setting_name(simulation, "gravity") != "none"
         periodic = _setting_name(simulation, "boundary") in ("periodic", "shear")
         roots = ("N_root_x", "N_root_y", "N_root_z")
-        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # true if no units were set, too
+        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # also true if no units were set
         self.model = Model(
             engine=named_version("rebound"),
             mass=mass,
@@ -177,7 +177,7 @@ def _setting_name(simulation: Any, name: str) -> str:
 
 
 def _size_of(particle: Any) -> int:
-    """Return the bytes of a particle; refuse a version with another layout of particles in memory."""
+    """Return the size of a particle in bytes; refuse a version with another layout of particles in memory."""
     if [getattr(particle, name).offset for name in READ] != [8 * k for k in range(len(READ))]:
         raise RecordingError(f"{named_version('rebound')} stores its particles in an unknown order; carom supports 5.x")
     return ctypes.sizeof(particle)

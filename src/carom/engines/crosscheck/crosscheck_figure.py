@@ -23,7 +23,7 @@ OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # colours of the engines, in their order
 WIDEST = 3.0  # points, width of the first line; later lines are thinner, so that they do not hide earlier ones
 STYLES = ("-", "--", ":", "-.")  # line styles of an engine's settings, in their order
-MOST_IMPACTS = 40  # most impacts that are marked; more would fill the figure
+MOST_IMPACTS = 40  # largest number of impacts that are marked; more would fill the figure
 
 
 def draw(check: Crosscheck, path: Path) -> None:

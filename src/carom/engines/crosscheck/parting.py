@@ -17,7 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.wording import Names
 
 PARTED = 0.01  # distance, in sizes of the system, at which runs have diverged
-OTHER_OUTCOME = 0.01  # difference of velocities after an impact, in speeds of the system, from which outcomes differ
+OTHER_OUTCOME = 0.01  # smallest change of velocities that makes another outcome of an impact, in speeds of the system
 EARLIER = 2.0  # steps by which an impact of an engine may precede the same impact of the reference
 LATER = 40.0  # steps after the reference's impact within which a soft contact ends
 SAME_IMPACT = 0.02  # largest time between the same impact in two runs, as a fraction of the duration
@@ -71,7 +71,7 @@ def parting_of(
     names: Names,
     numbered: NumberedImpacts,
 ) -> Parting | None:
-    """Return the divergence of a run from a reference up to the reference's horizon; None without one.
+    """Return the divergence of a run from a reference up to the reference's horizon; None without a divergence.
 
     The run has steps of ``dt`` s. ``broken`` lists the times (s) of violating frames, in order, with the violated laws;
     ``numbered`` are the impacts of carom's own run. The outcomes of these impacts are compared, unless the reference is
@@ -108,11 +108,11 @@ def parting_of(
 def _first_other_outcome(
     run: Trajectory, reference: Reference, pairs: IntArray, times: FloatArray, before: int, dt: float
 ) -> int | None:
-    """Return the first of ``before`` impacts with another outcome in a run; None without impacts.
+    """Return the first impact with another outcome in a run, among the first ``before``; None without impacts.
 
     The velocities of an impact's bodies are compared at the last sample before their next impacts. If the next impacts
-    come before a soft contact could have ended, the outcomes of these must also differ. If no velocity differs, return
-    the last impact: the run diverges by a delayed impact, or in the flight after it.
+    come before a soft contact could have ended, their outcomes must also differ. If no velocity differs, return the
+    last impact: the run diverges by a delayed impact, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]

@@ -19,8 +19,8 @@ from carom.private_folder import temporary_folder
 from carom.recording.write.whole_file import Claim, whole_file
 
 CLIP = "clip.rrd"
-LARGEST = 10_000_000  # most bytes of a bundle, a common limit for attachments
-MOST_UNPACKED = 1_000_000_000  # most bytes of an unpacked recording
+LARGEST = 10_000_000  # largest size of a bundle in bytes, a common limit for attachments
+MOST_UNPACKED = 1_000_000_000  # largest size of an unpacked recording in bytes
 MOST_TIMES = 1000  # highest compression ratio of deflate; a higher ratio is a zip bomb
 MOST_MEMBERS = 100
 _PIECE = 1 << 20
@@ -62,7 +62,7 @@ def pack(path: Path, members: Mapping[str, bytes | Path]) -> int:
 def opened(path: Path) -> Iterator[Path]:
     """Yield the path of a recording: the file itself, or while the context lasts, a file unpacked from a bundle.
 
-    Raises RecordingError if a bundle is damaged, or contains no recording, or a malformed one.
+    Raises RecordingError if a bundle is damaged, or contains no recording, or a malformed recording.
     """
     if not is_bundle(path):
         yield path

@@ -77,7 +77,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
         if not source.is_file():
             raise RecordingError(f"there is no recording at {source}")
         found = salvage(source)
-        # the recording with the most chunks is meant; wrong bytes may look like the start of another recording
+        # repair the recording with the most chunks; wrong bytes may look like the start of another recording
         stores = [store for store in found.stores if store.kind == RECORDING]
         store = max(stores, key=lambda store: len(store.entries), default=None)
         if store is None or not store.entries:
@@ -195,7 +195,7 @@ def widen(path: Path) -> None:
     fit = None
     with Writer(path, recording.store.application_id, recording.store.store_id) as writer:
         statics = sorted((e for e in recording.store.entries if e.is_static), key=lambda entry: entry.offset)
-        last = {entry.entity_path: entry for entry in statics}  # for each of these entities, only the last row is sent
+        last = {entry.entity_path: entry for entry in statics}  # for entities of `_RENEWED`, only the last row is sent
         kept = [entry for entry in statics if entry.entity_path not in _RENEWED or last[entry.entity_path] is entry]
         for chunk in recording.chunks(kept):
             writer.send(chunk)

@@ -32,7 +32,7 @@ class Snapshot:
     others: Mapping[str, NDArray[Any]]  # (n,) each, further columns that a [[bodies]] section needs
     vectors: VectorsByName  # quantities of the state that are modelled, (n, k) each; see `STATE_QUANTITIES`
     energies: Mapping[str, float]  # J, energies of all bodies, by the names of `Recording.energy`
-    # contacts of the step, with names and units, see `Recording.contacts`; None: not known
+    # contacts of the step, with names and units, see `Recording.contacts`; None if they are not known
     contacts: pa.Table | None = None
     cell: FloatArray | None = None  # (3,) m, size of a periodic domain about the origin; or (3, 3) m, see `Shear.cell`
 
@@ -54,7 +54,7 @@ CONTACTS, ENERGIES = "contacts", "energies"  # names of the tables beside the ta
 
 @dataclass(frozen=True, slots=True)
 class TableFiles:
-    """A format with several tables: bodies, and beside its file a file for contacts and a file for energies."""
+    """A format with a file for each table: bodies and, beside this file, contacts and energies."""
 
     write: Callable[[Path, Snapshot, Iterator[Snapshot]], None]
 
@@ -85,7 +85,7 @@ def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
 
 
 def refuse_export(path: Path, everything: bool, force: bool) -> None:
-    """Raise RecordingError if the suffix names no format, or a file or a folder of the export is in the way."""
+    """Raise RecordingError if the suffix names no format, or a file or folder of the export already exists."""
     refuse_format(path)
     made = registry.load("export_formats", path.suffix[1:])
     if not (everything and isinstance(made, StepFiles)):

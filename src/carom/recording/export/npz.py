@@ -1,4 +1,4 @@
-"""NumPy's .npz: arrays with the steps first."""
+"""NumPy's .npz: arrays whose first axis runs over the steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables as CSV that a spreadsheet shows but does not compute."""
+"""Tables as CSV that a spreadsheet shows but does not evaluate."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import pyarrow as pa
 
 from carom.recording.read.state_columns import units_of
 
-# Spreadsheets compute a text that begins with one of these characters; Asian spreadsheets also write them at full
+# Spreadsheets evaluate a text that begins with one of these characters; Asian spreadsheets also write them at full
 # width. Spreadsheets drop blanks, marks without a width and control characters at the beginning, and may split a text
-# that contains another separator than a comma.
+# that contains a separator other than a comma.
 _FORMULA = '["\\s\x00-\x20\x7f-\xa0\u200b-\u200f\u2028-\u202f\u2060\u3000\ufeff]*[=+@\uff1d\uff0b\uff0d\uff20-]'
 _NUMBER = r"\s*[+-][0-9.]+(?:[eE][-+]?[0-9]+)?\s*(?:[\])},;]|$)"  # numbers of a list, such as [1, -2]
 _FORMULAS = re.compile(rf"(^|[;,|\t\r\n](?!{_NUMBER}))(?={_FORMULA})")

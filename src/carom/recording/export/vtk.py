@@ -56,7 +56,7 @@ _OF_CONTACTS = ("normal_force", "tangential_force", "normal_impulse", "tangentia
 
 
 def _contacts(snapshot: Snapshot) -> tuple[Int32Array, dict[str, FloatArray]]:
-    """Return the points of contacts between two bodies, (m, 2), and their measured values; unknown values are 0."""
+    """Return the points that contacts of two bodies join, (m, 2), and the measured values; unknown values are 0."""
     table = snapshot.contacts
     if table is None:
         return np.zeros((0, 2), np.int32), {name: np.zeros(0) for name in _OF_CONTACTS}

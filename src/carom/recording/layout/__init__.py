@@ -80,14 +80,14 @@ FIELD = "field"  # entity of the arrow of a uniform field, and of axes
 # of fixed size at the recorded centre, so the file does not grow.
 
 LEAST = 2.0  # points of the screen, radius of a dot
-_MOST_NAMED = 7  # most bodies whose names the layout in a file shows: the number of hues
-_HIDDEN = 1e-12  # size of the dot, in radii, if the body itself is large enough
+_MOST_NAMED = 7  # largest number of bodies whose names the layout in a file shows: the number of hues
+_HIDDEN = 1e-12  # size of the dot, in radii, if the body itself is large enough to be seen
 
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
 def is_crowded(header: Header) -> bool:
-    """Return whether bodies are so many that they are solid beside the view of the contacts, and have no trails."""
+    """Return whether there are so many bodies that the view of the bodies draws them solid and without trails."""
     return header.bodies > FEW
 
 
@@ -131,7 +131,7 @@ def bodies_eye(camera: CameraFit, area: Area, added: Additions) -> View:
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Show bodies, planes, walls and the box, and the contacts unless spheres of a crowd hide them."""
+    """Show bodies, planes, walls and the box, and the contacts unless a crowd of spheres hides them."""
     view = bodies_eye(camera, area, added)
     has_contacts = header.collides and not is_crowded(header)
     name = "Bodies and contacts" if has_contacts else "Bodies"
@@ -152,7 +152,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     if header.records_contacts:  # by default, each impact stays visible until the next impact
         clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
         start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * OF_LATE / clock.scale))
-        # the sizes of these arrows are also impulses
+        # the points get the colour of these arrows, since both show impulses by their sizes
         colour = palette.legible([palette.ARROWS[paths.FORCE_NORMAL]], area.theme)
         overrides[paths.IMPACTS] = [
             rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=cursor),
@@ -210,7 +210,7 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
 
 
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Show the collision graph; its edges are drawn by their impulses if these are recorded."""
+    """Show the collision graph; its edges show impulses if these are recorded."""
     hidden: Overrides = {path: rrb.EntityBehavior(visible=False) for path in hidden_arrows(header, added)}
     only = added.touching if area.rendered else ()
     hides = is_crowded(header) and not only
@@ -236,7 +236,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
 
 
 def subdued(header: Header, theme: str) -> int:
-    """Return the colour of wires that are not the subject of a view: in crowds they cross most, and are faintest."""
+    """Return the colour of wires that are not the subject of a view; it is faintest in crowds, where wires cross."""
     return (palette.FAINTEST if is_crowded(header) else palette.FADED)[theme]
 
 
@@ -245,7 +245,7 @@ def faint_bodies(
 ) -> Overrides:
     """Draw bodies as thin wires, in one colour or in their own, so that they do not hide edges and arrows.
 
-    With ``only``, the others are too small to be seen.
+    With ``only``, all other bodies are too small to be seen.
     """
     match shape(header):
         case "ellipsoids":
@@ -366,7 +366,7 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     events = rrb.TextLogView(
         name=f"Events ({added.viewer_time})" if added.viewer_time else "Events",
         origin=paths.EVENTS,
-        # key without the entity, because the entity is always the same
+        # no column for the entity, because it is always the same
         columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"]),
     )
     documents = {"Scene": paths.SCENE, "Scene file": paths.SCENE_TOML, "About": paths.ABOUT}

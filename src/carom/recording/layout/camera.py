@@ -43,28 +43,29 @@ ASPECT = 1.25  # ratio of width to height of a 3D view, unless the layout gives 
 _NARROW_SLOPE = float(np.tan(np.radians(1.0)))
 _DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: equal spheres then differ by at most 4 %
 
-FEW = 40  # most bodies whose motion is always inside the view and has trails
-_FEW_NEAR = 5  # most bodies of which none is too far away to be shown
-_ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outside the view
+FEW = 40  # largest number of bodies whose motion is always inside the view and has trails
+_FEW_NEAR = 5  # up to this number of bodies, no body is too far away to be shown
+_ESCAPING = 0.05  # largest fraction of the bodies that may be outside the view if there are more than `FEW`
 _NEARBY = 1.6  # escaping bodies are also inside the view if this increases the distance by at most this factor
 _FAR = 20.0  # bodies farther from the middle than this, in median distances, may lie outside the picture
 _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the first moment fill
 # largest distance, relative to the smallest distance that shows the whole first moment; bodies then fill 53 %
 _LOOSE = 1.7
-# largest distance for paths, relative to the same: 23 for an orbit with e = 0.7 that begins at the pericentre, if the
-# aspect ratio is 3.3
+# largest distance that shows paths, relative to the same distance: 23 shows an orbit with e = 0.7 that begins at the
+# pericentre, if the aspect ratio is 3.3
 _LOOSE_PATHS = 25.0
-_SMALL = 400.0  # all motion of few bodies is inside up to this height of the picture, in median radii
-_MOST = 20_000  # number of bodies above which only every k-th and the `_LARGEST` largest are measured
+_SMALL = 400.0  # all motion of few bodies is shown if the picture is at most this high, in median radii
+_MOST = 20_000  # number of bodies above which only every k-th body and the `_LARGEST` largest are measured
 _LARGEST = 1000
 _BLOCK = 256  # number of spheres that are compared at once
-# most stored spheres of all moments; of more, only the outermost sphere in each of many directions is stored
+# largest number of stored spheres of all moments; above it, only the outermost sphere in each of many directions is
+# kept
 _MOST_SPHERES = 4000
 
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # usual direction to the eye
 _PREFERENCE = 0.15  # weight of the usual direction, as a fraction of the variance, if principal axes are similar
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
-_INTO = np.radians(30.0)  # highest elevation if bodies fall into walls, since a cup seen from above is a sheet
+_INTO = np.radians(30.0)  # highest elevation if bodies fall into walls, since a cup looks flat from above
 _SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
 # angles of the eye from a slope's edge, so that torques are visible
 _ASIDE, _ABOVE = np.radians(35.0), np.radians(12.0)
@@ -74,7 +75,8 @@ _OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])
 _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
 _ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
 _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
-# largest fraction of the width or height of a picture; in a tiny picture, a legend covers more, even bodies
+# largest fraction of a picture's width or height that is kept free for a legend; a legend in a tiny picture covers
+# more, even bodies
 _MOST_INSET = 0.6
 _BESIDE = 0.25  # walls farther away than this, in widths of the motion, may lie outside the picture
 _TURNS = 12  # number of directions from which an orbiting camera is fitted
@@ -167,7 +169,7 @@ class CameraFit:
         return cls(header.radius, first, corners, None, up, motion, edge_on, header.has_torque, highest)
 
     def of(self, bodies: Sequence[int]) -> CameraFit:
-        """Return a camera for some bodies at the first moment only, from the side that suits the motion of all."""
+        """Return a camera for some bodies at the first moment, from the side that suits the motion of all bodies."""
         if len(self._radius) < self._bodies:  # only a sample is measured
             return self
         to_eye = self.view().to_eye
@@ -202,7 +204,7 @@ class CameraFit:
         self._drift = max(self._drift, float(np.linalg.norm(middle - self._centre, axis=1).max()))
         kept = near if self.is_few else np.zeros_like(near)
         for k in () if self.is_few else np.flatnonzero(near.any(axis=1)).tolist():
-            # in each direction, the outermost of many bodies that must still be inside the view
+            # in each direction, keep the outermost of the bodies that must be inside the view
             bodies = np.flatnonzero(near[k])
             reach = (moments[k, bodies] - middle[k]) @ _OUTWARD.T + self._radius[bodies, None]
             order = np.argsort(-reach, axis=0)
@@ -300,7 +302,7 @@ class CameraFit:
         slopes = _FILLED * slope * np.array([frame.aspect, 1.0])
 
         def borders(position: FloatArray, radius: FloatArray, *, all_inside: bool = True) -> FloatArray:
-            """Return the bounds by the right and left, and by the upper and lower borders, (2, 2) m."""
+            """Return the bounds that the right and left, and the upper and lower borders give, (2, 2) m."""
             right, up, depth = axes @ (position - self._centre).T
             found = np.empty((2, 2))
             for k, along in enumerate((right, up)):
@@ -403,7 +405,7 @@ def _weights(radius: FloatArray) -> FloatArray:
 
 
 def _largest(values: FloatArray, radius: FloatArray) -> float:
-    """Return the largest value of the bodies that must be inside the view; if bodies are points, of all."""
+    """Return the largest value of the bodies that must be inside the view; if bodies are points, of all bodies."""
     if len(values) == 0:
         return -np.inf
     order = np.argsort(-values)
@@ -425,7 +427,7 @@ def _farthest(position: FloatArray, radius: FloatArray) -> IntArray:
 
 
 def _near(moments: FloatArray) -> BoolArray:
-    """Return masks (k, n) of the bodies with finite positions, without distant ones if there are more than a few."""
+    """Return masks (k, n) of the bodies with finite positions, without distant bodies if there are more than a few."""
     near: BoolArray = np.all(np.isfinite(moments), axis=2)
     whole = near.all(axis=1)
     for k in np.flatnonzero(~whole).tolist():

@@ -115,7 +115,7 @@ CORNERS = ((1, 1), (-1, 1), (1, -1), (-1, -1))  # right and up are positive
 def free_corner(
     view: View, aspect: float, inset: tuple[float, float], position: FloatArray, radius: FloatArray
 ) -> tuple[int, int] | None:
-    """Return a corner in which a legend covers no sphere, or None; ``size`` is a fraction of the picture's size."""
+    """Return a corner in which a legend covers no sphere, or None; ``inset`` is a fraction of the picture's size."""
     places, sizes = view.on_screen(position), view.radius_on_screen(position, radius)[:, None]
     half, whole = np.array([inset[0] * aspect, inset[1]]), np.array([aspect, 1.0])
     for corner in CORNERS:
@@ -157,7 +157,7 @@ class Canvas:
     width: int = 1600
     height: int = 1000
     framed: bool = True  # whether views have title bars and windows have panels, which reduce the height
-    rendered: bool = False  # whether nobody can use the window: no panels, and views may have a narrow lens
+    rendered: bool = False  # whether it is a picture: without panels, and with narrow lenses if necessary
     theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:

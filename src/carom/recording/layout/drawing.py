@@ -51,7 +51,7 @@ SPEEDS = np.array(
     dtype=np.uint32,
 )
 
-MOST_ELLIPSOIDS = 2000  # most bodies drawn as wireframes, which cost the viewer 16 to 25 times as much as points
+MOST_ELLIPSOIDS = 2000  # largest number of wireframe bodies; they cost the viewer 16 to 25 times as much as points
 
 
 def shape(header: Header) -> str:
@@ -178,7 +178,7 @@ def level(magnitude: FloatArray, reference: float) -> IntArray:
 
 
 def speed_colours(speed: FloatArray, reference: float) -> ColourArray:
-    """Return colours of speeds (m/s) from violet to green; the reference is in the middle."""
+    """Return colours of speeds (m/s) from violet to green; the reference speed has the middle colour."""
     share = speed / (speed + reference) if reference > 0.0 else np.zeros(len(speed))
     return SPEEDS[np.minimum((len(SPEEDS) * np.nan_to_num(share)).astype(np.int64), len(SPEEDS) - 1)]
 

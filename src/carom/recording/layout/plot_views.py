@@ -35,7 +35,7 @@ from carom.recording.schema.series import (
 
 
 def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
-    """Style a curve: a pixel of many frames shows their lowest and highest value, so that no peak is lost."""
+    """Style a curve; a pixel that covers many frames shows their lowest and highest value, so that no peak is lost."""
     return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
 
 
@@ -109,7 +109,7 @@ def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float
 
 # fraction of the largest energy, the energy scale, or a radius; a smaller curve shows rounding errors
 _ROUNDING = 1e-12
-_SHARES = ("energy/relative_error", "step/relative_overlap")  # series whose unit is such a scale
+_SHARES = ("energy/relative_error", "step/relative_overlap")  # series in units of the energy scale or of a radius
 _RATE = "step/impact_rate"
 _ABOVE = 1.1  # ratio of the end of the axis to the largest impulse
 _MARKER = 3.5  # points, radius of the mark of an impact
@@ -153,7 +153,7 @@ DECADES = "decades"
 
 
 def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
-    """Return whether the largest energy is a thousand times the energies at the start, or at most moments."""
+    """Return whether the largest energy exceeds a thousand times the first or the median energy."""
     outlines = list(curves)
     largest = max((curve.largest for curve in outlines), default=0.0)
     usual = max((curve.usual for curve in outlines), default=0.0)
@@ -181,7 +181,7 @@ CAPTION = "caption"  # entities of the title of a plot; the viewer sorts the lin
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
-    """Return the recorded series of a plot, without those whose known curves are flat."""
+    """Return the recorded series of a plot, without series whose known curves are flat."""
     every = list(recorded(header))
     series = [each for each in every if each.plot == plot]
     if curves is None:
@@ -293,7 +293,7 @@ _LONGER = 2.0  # largest factor by which an axis is made longer
 
 
 def _labelled(length: int, width: float) -> int:
-    """Return the length (ns) of an axis of some width (points), longer if the viewer would label only its start."""
+    """Return the length (ns) of an axis of some width (points), extended if the viewer would label only its start."""
     shown = [tick for tick in _TICKS if width * tick >= _TICK_WIDTH * length]
     if not shown or shown[0] <= length or shown[0] > _LONGER * length:
         return length

@@ -57,7 +57,7 @@ def _damaged(path: Path, reason: str) -> str:
     return f"{path} is not a recording, or is damaged ({reason}); {advice}"
 
 
-_MOST_TEXT = 1 << 26  # most bytes of all texts in a table; a run logs a few hundred lines
+_MOST_TEXT = 1 << 26  # largest size of all texts in a table, in bytes; a run logs a few hundred lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ class Entities:
         return join_rows(path, self.chunks(path), columns)
 
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks of steps in order; given a component, only chunks with it."""
+        """Read an entity's chunks of steps in order; given a component, only the chunks that have it."""
         for chunk in self.read(self._store.frames_of(path)):
             if component is None or component in chunk.components:
                 yield chunk

@@ -32,7 +32,7 @@ _OF_IMPACTS = {"approach_speed": "m/s", "energy_lost": "J", "normal_impulse": "N
 _LONG = 80  # characters of a text above which only part of it is shown
 _ROW_ID = "rerun.controls.RowId"
 _ARROWS = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # entities whose rows list the largest impulses first
-_REACHING = (paths.PLANES, paths.SHAPES, paths.MOVING)  # entities drawn as far as the bodies of the first frame reach
+_REACHING = (paths.PLANES, paths.SHAPES, paths.MOVING)  # entities whose drawn size depends on the first frame
 _STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # entities with the initial data of a run
 _PROPERTY, _CLOSING, _REFERENCES = "__properties/", "__properties/outcome", "__properties/arrows"
 # entities about the circumstances of the run, the place of a clip, and the layout
@@ -112,7 +112,7 @@ class _Comparison:
         self._recorded, self._again, self._extent, self._few = recorded, again, extent, few
         table = recorded.fingerprints()
         self._times = dict(zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True))
-        # numbers of impacts before the compared part
+        # number of impacts before the compared part
         self._before = count_at(recorded, extent.after) if extent.after >= 0 else 0
         self._count = count_at(again, extent.last)
         self._states = [states_by_number(run) for run in (recorded, again)]  # states at impacts
@@ -126,7 +126,7 @@ class _Comparison:
         self._known = self._entities | {entry.entity_path for entry in entries}
 
     def first(self) -> Difference | None:
-        """Return the first difference: at the earliest step, and within the step in positions before other data."""
+        """Return the difference at the earliest step; within a step, positions come before other data."""
         both = (entry for run in (self._recorded, self._again) for entry in run.store.entries if not entry.is_static)
         groups = {(entry.entity_path, entry.is_within_steps) for entry in both if entry.rows}
         found = [self._rows(*group) for group in sorted(groups, key=_rank) if group[0] != paths.EVENTS]
@@ -290,7 +290,7 @@ class _Comparison:
 
 
 def value_difference(step: int, path: str, name: str, recorded: pa.Array, other: pa.Array) -> Difference | None:
-    """Compare the values of a row in two recordings; return the first difference; for positions, the largest."""
+    """Compare the values of a row in two recordings; return the first difference or, for positions, the largest."""
     one, two = _flat(recorded), _flat(other)
     if recorded.null_count or other.null_count:
         raise DamageError(f"rows of /{path} without {name}")
@@ -384,7 +384,7 @@ def _same(one: pa.Array, two: pa.Array) -> bool:
 
 
 def _flat(rows: pa.Array) -> NDArray[np.generic]:
-    """Return the numbers of rows, or their texts as one value of bytes."""
+    """Return the numbers of rows, or their texts as a single byte string."""
     values = rows
     while pa.types.is_nested(values.type):
         values = values.flatten()

@@ -24,7 +24,7 @@ from carom.recording.schema.paths import CLOSING
 from carom.recording.timelines import IMPACT, STEP
 from carom.state.checkpoint import Checkpoint
 
-_KEPT = 3  # most chunks of an entity in memory; neighbouring frames may be in different chunks
+_KEPT = 3  # largest number of an entity's chunks in memory; neighbouring frames may be in different chunks
 
 
 class RecordedRows:
@@ -39,7 +39,7 @@ class RecordedRows:
         self._chunks: dict[str, OrderedDict[int, tuple[Chunk, IntArray]]] = {p: OrderedDict() for p in self._entries}
 
     def at(self, path: str, step: int) -> list[Chunk]:
-        """Return an entity's rows of a step, each as a separate chunk; an intact recording has one row."""
+        """Return an entity's rows at a step, each as a separate chunk; an intact recording has one row."""
         found = []
         with reading(self._recording.path):
             for entry in self._entries.get(path, ()):
@@ -170,7 +170,7 @@ class Continuation:
         """Read the values on which the rows of the next frame depend."""
         found = self._reached or self.recording.checkpoint(self.step)
         held = found.contacts
-        # some series are differences, which need it
+        # some series are differences from the previous frame, and need its contacts
         counts = held is not None and (held.pistons is not None or held.release is not None)
         contacts = held if counts else None
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=contacts, integrator=None)

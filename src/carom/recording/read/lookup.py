@@ -29,7 +29,7 @@ from carom.scene.wording import Names, bodies_called, body_called
 if TYPE_CHECKING:
     from carom.recording.read.recorded_data import RecordedData
 
-_MOST_NAMED = 8  # most bodies that a message lists
+_MOST_NAMED = 8  # largest number of bodies that a message lists
 
 
 def body_number(recording: RecordedData, body: int | str) -> int:
@@ -119,7 +119,7 @@ def moment(recording: RecordedData, at: float | None) -> float:
             return last
         found = recording.impacts()
         return float(found["time"][int(np.argmax(found["normal_impulse"].to_numpy()))].as_py()) if len(found) else last
-    from_start = recording.closing.get("moments.contacts.step") == 1  # as a ball that rolls
+    from_start = recording.closing.get("moments.contacts.step") == 1  # for example, a ball that rolls
     for name in ("impact", "contacts"):
         known = float(recording.closing.get(f"moments.{name}.time", np.nan))
         if times[0] <= known <= times[-1] and not (name == "contacts" and from_start):
@@ -129,7 +129,7 @@ def moment(recording: RecordedData, at: float | None) -> float:
         taken = _column(energy, "restitution")
         taken = taken + (_column(energy, "friction") if "friction" in energy.column_names else 0.0)
         lost = np.diff(taken, prepend=taken[:1])
-        if from_start and lost.max() > 0:  # half way through its slide, a ball has a path and slides
+        if from_start and lost.max() > 0:  # halfway through its slide, a ball has a path and still slides
             return float(_column(energy, "time")[np.argmax(taken >= 0.5 * taken.max())])
         if lost.max() > 0:
             return float(_column(energy, "time")[np.argmax(lost)])
@@ -140,7 +140,7 @@ def moment(recording: RecordedData, at: float | None) -> float:
 
 
 def interval(recording: RecordedData, start: float | None, end: float | None) -> tuple[float, float]:
-    """Return an interval (s), by default the whole recording, both ends included; RecordingError if it lies outside."""
+    """Return an interval (s), by default the whole recording, with both ends; RecordingError if it has no frames."""
     recording.require_frames()
     check_times(begin=start, end=end)
     first, last = -np.inf if start is None else start, np.inf if end is None else end

@@ -57,7 +57,7 @@ def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
 
 _IMPACT = "impact:"  # prefix of the number of an impact
 _FIRST_CONTACT = "first-contact"  # a kind of event
-_DIGITS = 18  # most digits of a number that fits into 64 bits
+_DIGITS = 18  # a number with at most this many digits fits into 64 bits
 
 
 @dataclass(frozen=True, slots=True)

@@ -89,7 +89,7 @@ def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
 
 
 def named_contacts(recording: RecordedData, table: pa.Table) -> pa.Table:
-    """Add the names of both bodies or planes, and to each field its unit."""
+    """Add the names of both bodies or planes, and the unit of each field."""
     names, named = names_of(recording), with_units(table, UNITS)
     for place, number in ((4, "i"), (5, "j")):  # columns after step, time, i and j
         texts = [names.of(each) for each in table[number].to_pylist()]
@@ -268,7 +268,7 @@ def _rows_of_engine(recording: RecordedData, chunk: Chunk, row: int, step: int, 
 def _of_impacts(
     recording: RecordedData, columns: dict[str, Any], struck: BoolArray, apart: BoolArray
 ) -> dict[str, Any]:
-    """Add approach speeds and energies of the step's impacts to contacts without other impulses.
+    """Add the approach speeds and energy losses of the step's impacts to contacts that have no other impulses.
 
     If the bodies have separated by the end of the step, the hardest impact gives time, point and normal.
     """

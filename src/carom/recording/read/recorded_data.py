@@ -111,7 +111,7 @@ class RecordedData(Statics):
         return self._states(paths.DT_LIMIT)
 
     def states_at(self, step: int) -> dict[str, str]:
-        """Return the states of `phases` and `dt_limits` after a step, by entity; empty before the first."""
+        """Return the states of `phases` and `dt_limits` after a step, by entity; empty before the first change."""
         found = {}
         for path, table in ((paths.PHASE, self.phases()), (paths.DT_LIMIT, self.dt_limits())):
             rows = np.flatnonzero(table[STEP].to_numpy() <= step)
@@ -198,7 +198,7 @@ class RecordedData(Statics):
     @cached_property
     @named
     def judged(self) -> BoolArray:
-        """Mask (n,) of the bodies of another engine whose laws are known; a recording without a mask has no others."""
+        """Mask (n,) of another engine's bodies whose laws are known; without a mask, they are known for all bodies."""
         return self._mask("judged", True)
 
     @cached_property
@@ -243,7 +243,7 @@ class RecordedData(Statics):
             raise DamageError("it does not state how its box is sheared") from error
 
     def cell(self, time: float) -> FloatArray | None:
-        """Return the size of the periodic box, (3,) m; of a sheared one, the vectors to its images, (3, 3); or None."""
+        """Return the size of the periodic box, (3,) m; if sheared, the vectors to its images, (3, 3) m; or None."""
         if "box" not in self.info:
             return None
         size = np.asarray(self.info["box"], dtype=np.float64)
@@ -263,7 +263,7 @@ class RecordedData(Statics):
         return self.present(state.step) if (waits := state.waits) is None else ~waits
 
     def _drawn_at(self, step: int) -> BoolArray:
-        """Return a mask (n,) of the bodies that are drawn in the frame of a step; without such a frame, all."""
+        """Return a mask (n,) of the bodies that are drawn in the frame of a step; without such a frame, all bodies."""
         n = int(self.info["bodies"])
         drawn = np.ones(n, dtype=bool)
         for chunk in self.chunks(self.store.frames_of(paths.BODIES, step, step)):

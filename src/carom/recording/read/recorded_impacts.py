@@ -124,7 +124,7 @@ def impacts_by_number(recording: RecordedData) -> tuple[IntArray, pa.Table]:
 
 
 def states_by_number(recording: RecordedData) -> dict[str, tuple[IntArray, pa.Table]]:
-    """Read the states at impacts: the numbers of each entity's rows, (k,), and the rows; series have two each."""
+    """Read the states at impacts: the numbers of each entity's rows, (k,), and the rows; series have two per impact."""
     entries = [entry for entry in recording.store.entries if entry.is_within_steps]
     return {
         path: _rows_by_number(recording, [entry for entry in entries if entry.entity_path == path], least=0)
@@ -133,7 +133,7 @@ def states_by_number(recording: RecordedData) -> dict[str, tuple[IntArray, pa.Ta
 
 
 def _rows_by_number(recording: RecordedData, entries: list[Entry], least: int = 1) -> tuple[IntArray, pa.Table]:
-    """Read chunks of an entity on the timeline of impacts; the numbers of two rows differ by at least ``least``."""
+    """Read chunks of an entity on the timeline of impacts; consecutive numbers differ by at least ``least``."""
     with reading(recording.path):
         batches = [chunk.batch for chunk in recording.chunks(entries) if chunk.batch.num_rows]
         if not batches:
@@ -159,7 +159,7 @@ def count_at(recording: RecordedData, step: int) -> int:
 
 
 def sums_between(recording: RecordedData, first: int, last: int) -> ImpactSums | None:
-    """Add up the sums over all impacts between the frames of two steps; None if a frame lacks them."""
+    """Add up the sums over all impacts between the frames of two steps; None if a frame lacks these sums."""
     found = list[ImpactSums]()
     with reading(recording.path):
         for chunk in recording.chunks(recording.store.frames_of(paths.CONTACTS, first, last)):
@@ -181,7 +181,7 @@ def sums_between(recording: RecordedData, first: int, last: int) -> ImpactSums |
 def _recorded(recording: RecordedData, first: float, last: float) -> pa.Table:
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
-    # skips chunks of other steps: no impact of a step is later than its end
+    # skip chunks of other steps: no impact is later than the end of its step
     lowest = int(steps[max(0, int(np.searchsorted(times, first)) - 1)])
     later = int(np.searchsorted(times, last, side="right"))
     highest = int(steps[later]) if later < len(steps) else int(steps[-1]) + 1

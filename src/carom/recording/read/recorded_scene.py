@@ -132,7 +132,7 @@ def header_of_recording(recording: RecordedData) -> Header:
         with suppress(RecordingError, SceneError):  # this version may be unable to read the scene
             scene = recorded_scene(recording)
     planes = None
-    if paths.PLANES in static:  # planes as they are drawn, without sides, unless a piston moves along its normal
+    if paths.PLANES in static:  # planes as drawn, without sides; the motion of a piston needs the planes of the scene
         planes = planes_of(scene) if scene and "pistons" in info else recording.drawn_planes()
     colour_by = str(info["colour_by"]) if info["colour_by"] in COLOUR_BY else "auto"
     stated = fields_read(info) | {"title": recording.title, "colour_by": colour_by}

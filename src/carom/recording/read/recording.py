@@ -161,14 +161,14 @@ class Recording(RecordedData):
         contacts
             The columns of `impacts`; forces are impulses divided by the length of the step. Point and normal are given
             at the end of the step or, for a pair that has separated by then, at its hardest impact. Recorded contacts
-            have approach_speed and energy_lost only for impacts (null otherwise). Contacts that held after the first
-            kick but opened within the step are not recorded. The metadata of the schema state the ``source``.
+            have approach_speed and energy_lost only for impacts (null otherwise). Contacts that were closed after the
+            first kick and opened within the step are not recorded. The metadata of the schema state the ``source``.
         """
         check_times(at=at)
         return contacts(self, at)
 
     def checkpoints(self, steps: Iterable[int] | None = None) -> Iterator[Checkpoint]:
-        """Yield the exact states at some of :attr:`checkpoint_steps`, by default at all, one by one.
+        """Yield the exact states at some of :attr:`checkpoint_steps`, by default at all of them, one by one.
 
         Chunks of the file contain several states. Steps in ascending order are fastest, because each chunk is then
         decoded only once; calls of `checkpoint` decode it each time.
@@ -181,10 +181,10 @@ class Recording(RecordedData):
     def moment(self, at: float | None = None) -> float:
         """Return the time (s) to show: the given time, or else the hardest impact, the most contacts, or the end.
 
-        Where bodies touch from the start on, it is the time at which half of the energy that friction takes is gone.
-        A run that closed its file has recorded the hardest impact; otherwise, the frames are searched. In a clip of
-        selected bodies, the hardest impact is the impact with the largest impulse on these bodies. Raises
-        RecordingError if there is no frame, or the given time is not in the recording.
+        If bodies touch from the start and no impact is known, it is the time at which contacts have dissipated half of
+        the energy that they dissipate in all. A run that closed its file has recorded the hardest impact; otherwise,
+        the frames are searched. In a clip of selected bodies, the hardest impact is the impact with the largest impulse
+        on these bodies. Raises RecordingError if there is no frame, or the given time is not in the recording.
         """
         check_times(at=at)
         return moment(self, at)

@@ -43,7 +43,7 @@ class BodyTable:
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
 
     def among(self, shown: Sequence[int], bodies: int) -> Self:
-        """Return a table of all bodies of a run, of which only these bodies, with the numbers ``shown``, are known."""
+        """Return a table of all bodies of a run, in which only the bodies with the numbers ``shown`` are known."""
         values: dict[str, Any] = {name: np.full(bodies, np.nan) for name in ("mass", "radius", "inertia")}
         values["group"] = np.full(bodies, -1)
         for name, spread in values.items():

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def summary(recording: RecordedData) -> dict[str, Any]:
-    """Nested numbers; docs/recording.md lists the keys.
+    """Return nested numbers; docs/recording.md lists the keys.
 
     The largest errors of all steps come from the property `outcome`, under the same dotted keys; without this property,
     the largest errors of the recorded frames are used. The numbers of a clip describe its own frames; its outcome and
@@ -174,7 +174,7 @@ def _contacts(recording: RecordedData) -> dict[str, Any]:
 
 
 def _moments(recording: RecordedData) -> dict[str, Any]:
-    """Nest the worst moments.
+    """Return the moments of the extremes as nested entries.
 
     Bodies are written as ``3,17``, since a property cannot hold a list of unknown length.
     """

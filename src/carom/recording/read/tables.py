@@ -92,7 +92,7 @@ def shown_bodies(recording: RecordedData, bodies: Sequence[int | str] | None) ->
 
 
 def frames_within(recording: RecordedData, start: float, end: float) -> tuple[IntArray, FloatArray]:
-    """Return steps and times (s) of the frames of an interval (s); RecordingError without any."""
+    """Return steps and times (s) of the frames in an interval (s); RecordingError if there is none."""
     frames = recording.fingerprints()
     times = frames["time"].to_numpy()
     inside = np.flatnonzero((times >= start - tolerance(start)) & (times <= end + tolerance(end)))

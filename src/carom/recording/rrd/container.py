@@ -32,7 +32,7 @@ from carom.recording.rrd.messages import (
 from carom.recording.timelines import STEP
 
 _ZIP = b"PK\x03\x04"  # first bytes of a zip file, for example of a bug report
-_SHORTEST = 100  # fewest bytes of a chunk's message; the schema alone is longer
+_SHORTEST = 100  # smallest size of a chunk's message, in bytes; the schema alone is larger
 _MANIFEST = {
     "chunk_entity_path": pa.string(),
     "chunk_is_static": pa.bool_(),
@@ -110,7 +110,7 @@ class ChunkIndex:
 
 
 def _manifests(footer: bytes, size: int) -> list[Store]:
-    """Read the footer's entries of each store's chunks, in the order of the file."""
+    """Read the entries of each store's chunks from the footer, in the order of the file."""
     stores = []
     for manifest in messages.fields(memoryview(footer)).get(1, []):
         if not isinstance(manifest, memoryview):
@@ -153,7 +153,7 @@ def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> 
 _WINDOW = 1 << 22  # bytes searched at a time
 # a message begins with field 1 as bytes
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)
-_PATIENCE = 4  # most bytes read in the search for messages, in sizes of the file
+_PATIENCE = 4  # largest number of bytes read in the search for messages, in sizes of the file
 
 
 @dataclass(frozen=True, slots=True)

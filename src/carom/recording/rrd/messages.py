@@ -25,22 +25,22 @@ from carom.recording.timelines import SIM_TIME, STEP
 # can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers can also be compressed
 # a second time, or shared. carom writes no such data, and refuses them.
 
-LARGEST = 1 << 31  # most bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
+LARGEST = 1 << 31  # bytes, largest chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
 
-_LARGE = 50_000_000  # bytes in one allocation by Arrow above which memory is returned to the system
+_LARGE = 50_000_000  # bytes; memory is returned to the system if Arrow has ever allocated more than this
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # largest compression by LZ4
 _ROOMY = 1 << 26  # bytes to which a chunk of any file may unpack; batches have 4 MB, and a clip takes six times a chunk
-# bytes to which a larger chunk may unpack, relative to its file: 1.3 GB in 200 MB with 10⁷ spinning bodies at rest on a
-# lattice
+# bytes to which a larger chunk may unpack, relative to the size of its file: 1.3 GB in 200 MB for 10⁷ spinning bodies
+# at rest on a lattice
 _MOST_TIMES = 8
-# fewest bytes of the file per row; in a run of 20 000 equal steps there are 18, mostly for identity and time
+# smallest number of bytes per row in a file; a run of 20 000 equal steps has 18, mostly for identity and time
 _LEAST_ROW = 8
-_DEEPEST = 8  # most levels of nested types; Rerun's layouts have five
-_WIDEST = 16  # most values in a list of fixed size: a quaternion has 4, an identifier 16
-_MOST_COLUMNS = 10_000  # most columns of an index, which has four for each component
-_BITS = 8  # most values per byte, since each takes at least one bit
+_DEEPEST = 8  # largest number of levels of nested types; Rerun's layouts have five
+_WIDEST = 16  # largest number of values in a list of fixed size: a quaternion has 4, an identifier 16
+_MOST_COLUMNS = 10_000  # largest number of columns of an index, which has four for each component
+_BITS = 8  # largest number of values per byte, since each takes at least one bit
 
 _LEAVES = {
     *(pa.bool_(), pa.string(), pa.binary(16), pa.timestamp("ns"), pa.duration("ns"), pa.float32(), pa.float64()),
@@ -130,8 +130,8 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
 
 Fields = dict[int, list["int | memoryview"]]
 
-_LONGEST_VARINT = 64  # most bits of an integer
-_MOST_FIELDS = 1000  # most fields in a message; messages of an .rrd have up to six
+_LONGEST_VARINT = 64  # largest number of bits of an integer
+_MOST_FIELDS = 1000  # largest number of fields in a message; messages of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:

@@ -89,13 +89,13 @@ def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoi
 
 
 def size(frame: Frame) -> int:
-    """Return the bytes of the checkpoint of a frame."""
+    """Return the size of a frame's checkpoint, in bytes."""
     return _size_of(frame.checkpoint) + BOOKS_BYTES
 
 
 def _size_of(part: Any) -> int:
-    """Return the bytes of an object with saved fields, and of its parts; repeated fields are not stored."""
-    kind: Any = type(part)  # for mypy, a class cannot be a key
+    """Return the size (bytes) of an object with saved fields, and of its parts; repeated fields are not stored."""
+    kind: Any = type(part)  # Any, since mypy does not accept a class as the key of a cache
     numbers, parts = _counted(kind)
     total = sum(_size_of(each) for name in parts if (each := getattr(part, name)) is not None)
     for name, each, is_named in numbers:
@@ -109,14 +109,14 @@ def _size_of(part: Any) -> int:
 
 @cache
 def _counted(owner: type) -> tuple[list[tuple[str, int, bool]], list[str]]:
-    """Return name, bytes of a number and whether they are energies by name, for each field of a class; its parts."""
+    """Return name, bytes per number and whether it has energies by name, for each field of a class; and its parts."""
     stored = ((name, first) for name, (first, *_) in saved_fields(owner).items() if not first.repeats)
     numbers = [(name, first.bytes // (first.width * first.rows), first.is_named) for name, first in stored]
     return numbers, list(saved_parts(owner))
 
 
 def largest_size(header: Header) -> int:
-    """Return the bytes of a checkpoint of densely packed bodies."""
+    """Return the size (bytes) of a checkpoint of densely packed bodies."""
     contacts = _FULL * header.bodies if header.collides and header.forces else 0
     return _largest_size(header.bodies, contacts, len(header.forces))
 
@@ -197,7 +197,7 @@ def _components_of(part: Any) -> dict[str, Values]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, and take most of the time."""
+    """Return a value that JSON can represent. `dataclasses.asdict` would copy every number, which takes much longer."""
     names = _fields_of(value.__class__)
     if names is None:
         return [_plain(entry) for entry in value] if isinstance(value, tuple) else value
@@ -274,7 +274,7 @@ class _Row:
         return made
 
     def _named(self, owner: type[Any], prefix: str) -> NamedEnergies:
-        """Return, in alphabetical order, the energies whose components begin with a prefix and are no other field."""
+        """Return the energies whose components begin with a prefix and are no other field, in alphabetical order."""
         known = {each.name for components in saved_fields(owner).values() for each in components}
         names = sorted(name for name in self._stored if name.startswith(prefix) and name not in known)
         return tuple((name.removeprefix(prefix), float(self._finite(name, 1)[0])) for name in names)

@@ -9,7 +9,7 @@ import numpy as np
 from carom.arrays import FloatArray
 
 _SPANS = 512  # number of spans, which resolves the edge of a legend to a few pixels
-_CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
+_CURVE_ROUNDING = 1e-9  # largest relative difference of steps that count as equal, since their times are rounded
 
 
 class CurveOutline:
@@ -71,12 +71,12 @@ class CurveOutline:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the series is constant between its ends: dt begins at 0, and the last step is shorter."""
+        """Whether the series is constant between its ends; dt, for example, begins at 0 and ends in a shorter step."""
         low, high = self._between
         return high <= low or high - low <= _CURVE_ROUNDING * max(abs(low), abs(high))
 
     def over(self, unit: float) -> CurveOutline:
-        """Return the outline in another unit, given the size of that unit in recorded numbers."""
+        """Return the outline in another unit, given the size of that unit in the recorded unit."""
         if unit == 1.0:
             return self
         scaled = CurveOutline()

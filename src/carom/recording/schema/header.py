@@ -166,8 +166,8 @@ class Header:
     gravity_softening: float = 0.0  # m
     exact: bool = False  # whether every frame has a checkpoint
     fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
-    judged: BoolArray | None = None  # (n,) bodies of another engine whose laws are known; None: all
-    drawn_as: str = ""  # shape of drawn bodies, unless it is determined by their number
+    judged: BoolArray | None = None  # (n,) bodies of another engine whose laws are known; None means all bodies
+    drawn_as: str = ""  # shape of drawn bodies; if empty, their number determines it
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions of extensions by name; see `extensions_of`
 
     def models(self, part: str) -> bool:
@@ -183,7 +183,7 @@ class Header:
         return self.units.unit(OF_UNIT[si]) or "1"
 
     def plot_factor(self, si: str) -> float:
-        """Return the size of a plot's unit in recorded numbers, given the SI unit of the quantity."""
+        """Return the size of a plot's unit in the recorded unit, given the SI unit of the quantity."""
         return self.units.factor(OF_UNIT[si]) if si in OF_UNIT else 1.0
 
     @property
@@ -217,7 +217,7 @@ class Header:
         return self.shear is not None
 
     def cell(self, time: float) -> FloatArray | None:
-        """Return the size of the periodic box, (3,) m, or of a sheared box the vectors to its images, (3, 3) m."""
+        """Return the size of the periodic box, (3,) m, or, if it is sheared, the vectors to its images, (3, 3) m."""
         return self.box if self.box is None or self.shear is None else self.shear.cell(self.box, time)
 
     @property
@@ -227,7 +227,7 @@ class Header:
 
     @property
     def drawn_box(self) -> FloatArray | None:
-        """Size of the periodic box as drawn, (3,) m; along other axes, the size of the walls or 0."""
+        """Size of the periodic box as drawn, (3,) m; along axes that do not repeat, the size of the walls or 0."""
         if self.box is None:
             return None
         return np.where(self.box < ENDLESS, self.box, 0.0 if self.walls is None else self.walls)
@@ -254,7 +254,7 @@ _PATTERN = re.compile(r"carom-([0-9]{1,9})-[0-9a-f]+")
 
 
 def application_id(header: Header) -> str:
-    """Return ``carom-<schema>-<layout>``; Rerun replaces slashes, so it contains none.
+    """Return ``carom-<schema>-<layout>``, without slashes, since Rerun replaces them.
 
     A viewer keeps one layout, with its camera, per application id. The id therefore includes a hash of the scene.
     """
@@ -275,7 +275,7 @@ NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, on
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _PAST_THE_END = 1.02  # up to this factor times `_LONGEST`, a time still fits into 2⁶³ ns
 _SMALLEST_POWER = -300  # smallest power of ten of a scale; 1e-308 is the smallest normal number
-# s, shortest scaled step without a finer scale; with shorter steps, times of impact would have fewer than three digits
+# s, shortest step that needs no finer scale; with shorter steps, times of impact would have fewer than three digits
 _COARSEST = 1.0e-6
 _FINE = 1.0e-3  # s, shortest step after scaling, so that times within a step have six digits
 
@@ -311,7 +311,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert seconds to nanoseconds before the frame that ends at ``ends`` (s); see `Index`."""
+        """Convert times (s) to nanoseconds that are less than the end of their frame, ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 

@@ -118,7 +118,7 @@ DT_LIMITS = {  # colours of limits, which are dull unless the limit is about imp
     "end": DEEP_SLATE,
 }
 
-MOST_SINGLE = 70  # most single bodies that get hues in turn; with more bodies, a hue would have over ten of them
+MOST_SINGLE = 70  # largest number of single bodies that get hues in turn; with more, over ten would share a hue
 
 _GOLDEN = 0.6180339887498949  # fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.3  # fraction by which the darkest body of a group is darker than the group's hue

@@ -55,7 +55,7 @@ PLOTS = (  # plots from left to right; the plots of a column are tabs
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT, _PISTON) = PLOTS
 _OUTFLOW = Plot("Outflow", "1/s")  # exists only in scenes with outlets
 _TABLE = "record.impacts"  # key of the scene that must not be "none" for series of the contact table
-# works on bodies that are recorded, although they are no parts of the model
+# sources of work on bodies: their work is recorded, although they are not parts of the model
 _DRIVES = ("wall.motion", "piston", "release", "driving-field", "shear")
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # scaled values are also recorded if the scene has a section [units].
@@ -334,7 +334,7 @@ def names_below(root: str) -> list[str]:
 
 
 def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
-    """Return whether a recording with these properties has a series, by the first and last name in its path."""
+    """Return whether a recording with these properties has a series, given the first and last name in its path."""
     rows = [row for row in SERIES if row.path.startswith(f"{root}/") and row.path.endswith(f"/{name}")]
     rows = [row for row in rows if not (row.inside and properties.get("engine"))]
     return any(row.part is None or bool(properties.get(flag_of(row.part))) for row in rows)

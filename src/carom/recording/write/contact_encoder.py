@@ -38,7 +38,7 @@ from carom.state.frame import Frame
 
 _ROUNDING = 1e-9  # fraction of the largest magnitude in the recorded frames so far
 NO_SUMS = np.empty(0)
-_JOINED = 4096  # most edges, contacts and impacts in a block of several frames: 0.6 MB, which fit into the cache
+_JOINED = 4096  # largest number of edges, contacts and impacts in a block of several frames: 0.6 MB fit into the cache
 
 
 class BatchContacts:
@@ -119,7 +119,7 @@ class BatchContacts:
 
 
 def _in_one(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return the arrays of consecutive frames as one; records are copied as bytes, which NumPy does much faster."""
+    """Join the arrays of consecutive frames; records are copied as bytes, which NumPy does much faster."""
     if len(arrays) == 1:
         return np.ascontiguousarray(arrays[0])
     kind = arrays[0].dtype
@@ -171,9 +171,9 @@ def force_rows(
     If j is a plane or a wall (a number from ``bodies`` on), the arrows show impulses on body i: normals point out of
     surfaces.
 
-    In each frame, (frames,), the ``drawn`` contacts with the largest normal impulses have arrows, shorter than
-    ``longest`` (m). ``middle`` is the middle of the frame's scale (N s); impulses below its floor (N s) have arrows
-    without length. ``columns`` are further columns of the normal impulses.
+    ``drawn``, (frames,), is the number of contacts in each frame that have arrows, the largest normal impulses first.
+    Arrows are shorter than ``longest`` (m). ``middle`` is the middle of the frame's scale (N s); impulses below its
+    floor (N s) have arrows without length. ``columns`` are further columns of the normal impulses.
     """
     rows = contacts.strongest_contacts(drawn)
     middle, floors = np.repeat(middle, drawn), np.repeat(floors, drawn)
@@ -205,7 +205,7 @@ def _drawn(
     return single(impulse * scale[:, None])
 
 
-_ROUND_OFF = 1e-12  # of J v_n; smaller energy losses are rounding
+_ROUND_OFF = 1e-12  # fraction of J v_n; smaller energy losses are rounding errors
 
 
 class ContactEncoder:
@@ -295,7 +295,7 @@ class ContactEncoder:
         lost = lost[lost > _ROUND_OFF * impacts["normal_impulse"] * impacts["approach_speed"]]
         scales = {IMPACTS: impacts["normal_impulse"], IMPACT_ENERGY: lost}
         if self._turning:
-            # N m s, with a coefficient of friction of 1
+            # N m s; ``most`` is the angular impulse that a coefficient of friction of 1 would give
             turns, most = turns_of(impacts), impacts["arm_i"] * impacts["normal_impulse"]
             size = drawing.magnitudes(turns.reshape(-1, 3)).reshape(-1, 2)
             size[size <= _ROUND_OFF * most[:, None]] = 0.0

@@ -100,7 +100,7 @@ class DurableSink:
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
-        """Reserve this many bytes for closing the file; a disk without space for them is full."""
+        """Reserve this many bytes for closing the file; a disk without space for them counts as full."""
         if self.full:
             return
         try:

@@ -53,7 +53,7 @@ from carom.state.frame import Frame
 
 SPEED = "speed"  # key in the property `arrows`: the speed (m/s) in the middle of the colour scale
 NO_IMPACTS = RecordedImpacts()
-_LABELLED = 6  # most arrows of a frame that are labelled with their magnitudes, so that labels cover few other arrows
+_LABELLED = 6  # largest number of arrows in a frame with labels of their magnitudes; more would cover other arrows
 _BEYOND = 0.8  # distance of a label beyond the tip, in radii, since a viewer draws a label below its place
 
 
@@ -317,7 +317,7 @@ class BatchEncoder:
     def _above_floor(
         self, path: str, turning: TorqueList, inertia: FloatArray, raises: bool
     ) -> tuple[TorqueList, FloatArray]:
-        """Keep the torques τ with τ/I not below the floors of the arrows; return them and the floors, (frames,)."""
+        """Keep the torques τ whose τ/I reaches the floor of their arrows; return them and the floors, (frames,)."""
         frame = np.repeat(np.arange(len(turning.each)), turning.each)
         with np.errstate(over="ignore"):
             size = turning.magnitude / inertia[turning.body]

@@ -1,8 +1,8 @@
 """Loops over the bodies and contacts of a batch of frames that convert float64 state to the float32 that is drawn.
 
 The loops are kernels because NumPy would hold the interpreter lock, which the physics needs after each of its kernels.
-The kernels process many frames, and release the lock. A call takes some microseconds, as long as a frame of ten
-contacts.
+The kernels process many frames, and release the lock. A call takes some microseconds, as long as the work on a frame of
+ten contacts.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.recording.layout.drawing import part_of_longest
 
 SMALLEST_NORMAL = float(np.finfo(np.float64).tiny)  # N s, smallest median that can be a divisor
-# `part_of_longest` for kernels; `part_of_longest` itself takes arrays of NumPy
+# `part_of_longest` for kernels; the original is for NumPy arrays
 _part_of_longest = inline(part_of_longest)
 
 
@@ -255,7 +255,8 @@ def pick_strongest(
     """Select the rows with the largest normal impulses of each frame, in their order; among equal impulses, the first.
 
     ``each`` and ``counts``, (frames,), are the numbers of rows and of selected rows. The indices of the selected rows
-    in their frames are written to ``chosen``, the rows to ``picked``. ``scratch`` is as long as the rows of any frame.
+    in their frames are written to ``chosen``, the rows to ``picked``. ``scratch`` is at least as long as the rows of
+    any frame.
     """
     begin, found = 0, 0
     for f in range(len(each)):

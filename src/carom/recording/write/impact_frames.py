@@ -46,7 +46,7 @@ class Instant(NamedTuple):
     end: float  # s, time of the next frame
     frame: Frame  # positions, contacts and impulses at the instant; nothing has a torque there
     energies: FloatArray  # (2, 5) J, `STEPPING` before and after all impacts of the instant
-    bodies: IntArray  # (b,) bodies that meet: one if it meets a plane
+    bodies: IntArray  # (b,) bodies that meet: a single body if it meets a plane
     spins: FloatArray | None  # (2, b, 3) rad/s, spins before and after; None if spins are not modelled
 
 
@@ -91,7 +91,7 @@ def instants(
 
 
 def _together(impacts: Records, k: int) -> IntArray:
-    """Return the indices of the impacts at the time of one impact, by pair: the larger impact if a pair meets twice."""
+    """Return the indices of the impacts at the time of one impact, one per pair: the larger if a pair meets twice."""
     same = np.flatnonzero(impacts["time"] == impacts["time"][k])
     same = same[np.argsort(-impacts["normal_impulse"][same], kind="stable")]
     same = np.append(k, same)  # the first impact of a pair is kept
@@ -149,7 +149,7 @@ class _Jumps:
         return self._sides(k, bodies, self._before.angular_velocity, self._after.angular_velocity, self._kicks)
 
     def velocities(self, k: int, bodies: IntArray, pushes: FloatArray) -> FloatArray:
-        """Return the velocities before and after, (2, b, 3) m/s, given the changes of both, (k, 2, 3) m/s."""
+        """Return velocities before and after an impact, (2, b, 3) m/s, given the changes of both ends, (k, 2, 3)."""
         return self._sides(k, bodies, self._before.velocity, self._after.velocity, pushes)
 
     def _sides(self, k: int, bodies: IntArray, first: FloatArray, last: FloatArray, kicks: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ class _Jumps:
         order = order[body[order] < header.bodies]
         body, kick, impact = body[order], self._kicks.reshape(-1, 3)[order], order // 2
         bodies, first, which, count = np.unique(body, return_index=True, return_inverse=True, return_counts=True)
-        # the earlier kicks of each body, added one by one so that the bits equal the bits of `_spin`
+        # the earlier kicks of each body, added one by one so that the bits equal the bits of `spins`
         earlier, rank = np.zeros_like(kick), np.arange(len(body)) - first[which]
         for k in range(1, int(count.max(initial=0))):
             later = np.flatnonzero(rank == k)

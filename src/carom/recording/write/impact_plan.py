@@ -55,7 +55,7 @@ def positions_at(
     order = np.argsort(struck, kind="stable")
     first = np.searchsorted(struck[order], np.arange(len(radius) + 1))
     own_impacts = _ImpactsByBody(impacts, first, order // 2)
-    most = int(np.diff(first).max(initial=0)) + 2  # most corners of a path, with both frames
+    most = int(np.diff(first).max(initial=0)) + 2  # largest number of corners of a path, including both frames
     motion = _Motion(before.time, after.time, start, path, radius, images)
     _pass_through(times, motion, own_impacts, _Corners(np.empty(most), np.empty((most, 3))), found)
     return found
@@ -69,7 +69,7 @@ class _Motion(NamedTuple):
     start: FloatArray  # (n, 3) m
     path: FloatArray  # (n, 3) m, displacement
     radius: FloatArray  # (n,) m
-    box: FloatArray  # (3,) m, or the record of a sheared box as the interval begins
+    box: FloatArray  # (3,) m, or the record of a sheared box at the beginning of the interval
 
 
 class _ImpactsByBody(NamedTuple):
@@ -137,11 +137,12 @@ def _pass_through(
 
 
 FILE_BYTES = 300_000  # bytes of layout, styles and footer (docs/recording.md, Size)
-# bytes of contacts over all other bytes counted here: about a fifth of the whole file, which has further data
+# ratio of the bytes of contacts to all other bytes counted here: about a fifth of the whole file, which has further
+# data
 SHARE = 0.22
 _ARROWS, _SCENES = 0.02, 0.04  # largest fractions of all other data: for arrows, and for frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes that frames at impacts may take in any recording
-_HARDER = 1.25  # an impact harder than the hardest one with a frame by this factor gets a frame even beyond the budget
+_HARDER = 1.25  # an impact that exceeds the hardest with a frame by this factor gets one even beyond the budget
 _SCENE = 850  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 36  # measured bytes of each in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
@@ -157,8 +158,8 @@ class BudgetRecord(Protocol):
 
     others: float  # bytes of everything except contacts and impacts
     contacts: float  # bytes of contacts and impacts
-    arrows: float  # part of these bytes that arrows take
-    scenes: float  # part of these bytes that frames at impacts take
+    arrows: float  # bytes of arrows, a part of these bytes
+    scenes: float  # bytes of frames at impacts, a part of these bytes
 
 
 _BUDGET = dtype_of(BudgetRecord)
@@ -287,7 +288,7 @@ def _spend(
 def _size(bodies: int, moved: float, edges: int, columns: _BodyColumns) -> float:
     """Estimate the bytes of a frame besides contacts: bodies, arrows of torques, edges, scalars, checkpoints.
 
-    Unchanged values compress to little; ``moved`` is the fraction of bodies that move.
+    Unchanged values compress well; ``moved`` is the fraction of bodies that move.
     """
     drawn = bodies * (_AT_REST + moved * ((TURNED_BYTES if columns.orientation else DRAWN_BYTES) - _AT_REST))
     arrows = _TORQUE * (1 + moved) * min(bodies, 2 * edges) if columns.torque else 0.0

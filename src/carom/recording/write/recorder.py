@@ -145,7 +145,7 @@ class CheckpointPlan:
                     self._warnings, self._warned, self._last_kept = self._warnings + 1, warned, before.step
                     kept.append(before)
             if self._last_kept >= 0 and room < self._regular + BOOKS_BYTES:
-                # this ends the choice for most frames of few bodies, since counting the other bytes takes 15 µs
+                # skip the rest for most frames of few bodies, since counting the other bytes takes 15 µs
                 continue
             cost = size(frame)
             if self._last_kept < 0 or self._regular + cost <= room:
@@ -160,14 +160,14 @@ _BATCH_FRAMES, _QUEUE_FRAMES = 2048, 512
 _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000
 _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s of frames that a killed run may lose, and by which a live viewer lags
 _QUEUE_BYTES = 64_000_000
-_BODY_BYTES, _FRAME_BYTES = 300, 2000  # most bytes of memory of a waiting frame: for each body, and for the rest
+_BODY_BYTES, _FRAME_BYTES = 300, 2000  # bytes, largest memory of a waiting frame: per body, and for the rest
 _LOOK = 1.25  # ratio between the frame counts at two updates of the camera
 # bytes; smaller or shorter recordings get a blueprint only at the end, since it takes 10 ms
 _LAID_OUT_AFTER = 1_000_000
 
 
 def waiting_frames(bodies: int, queue_size: int | None = None) -> tuple[int, int, int]:
-    """Return how many frames the queue of a recording holds, how many a batch, and how many are in memory at most."""
+    """Return the largest numbers of frames in the queue of a recording, in a batch, and in memory."""
     frame_bytes = _BODY_BYTES * bodies + _FRAME_BYTES
     small = min(_SMALL_FRAMES, _SMALL_BYTES // frame_bytes)
     room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes), small)

@@ -43,7 +43,7 @@ def end_earlier_streams() -> None:
     """Free the threads and memory that Rerun keeps for each closed stream until `rr.init` is called.
 
     If Rerun lacks the private function for this, threads and memory stay allocated. A forked child lacks the threads of
-    its parent and cannot end its streams; Rerun raises RuntimeError.
+    its parent and cannot end its streams; Rerun then raises RuntimeError.
     """
     with contextlib.suppress(RuntimeError, *_UNKNOWN):
         bindings.flush_and_cleanup_orphaned_recordings()

@@ -24,7 +24,7 @@ from carom.state.frame import Frame
 # arrays without a copy. Rerun's own columns copy their values, and compute an offset for every single value before a
 # column is partitioned. That took most of the recorder's time, and held the interpreter lock.
 
-Each = IntArray | int  # number of values in each row; one number if all rows have equally many
+Each = IntArray | int  # number of values in each row; a single number if it is the same for all rows
 Descriptor = rr.ComponentDescriptor
 
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
@@ -57,7 +57,7 @@ def any_column(name: str, values: NDArray[Any] | list[str], each: Each = 1) -> C
 
 
 def any_values(values: Mapping[str, Any]) -> rr.AnyValues:
-    """Return values under names that Rerun does not know; texts and lists that are empty are left out.
+    """Return values under names that Rerun does not know; empty texts and lists are left out.
 
     The type of each value is set here. Rerun keeps the first type that a name has in a process and refuses any other,
     so a sweep over the values 0.1 and "auto" would fail.

@@ -31,8 +31,8 @@ _THICKNESS = {  # radii of arrows, in median body radii; of two parallel arrows,
 }
 _EDGE_POINTS = 2.5  # width of a contact's line, in screen points
 _TRANSLUCENT = 0x8A93A624  # colour of walls in front of bodies
-_POINT = 1e-9  # fraction of a wall's extent; corners that are nearer to each other are one, such as a pole
-_BENT = 0.35  # 2 sin ½β, β = 20°: edges that bend less are not drawn; a surface of revolution bends by 4° at each
+_POINT = 1e-9  # fraction of a wall's extent; corners that are closer together count as one, such as at a pole
+_BENT = 0.35  # 2 sin ½β, β = 20°: edges that bend less are not drawn; a surface of revolution bends by 4° at each edge
 _SECTORS, _SHADE = 16, 0x505050FF  # number of sectors and colour of shaded ones, on walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # rings from pole to pole; enough for one sphere among thousands to look round
@@ -67,7 +67,6 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
-# values of the property `carom`
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
     """Return the property `carom`: the scene, the parts of its model, and the style of its drawing."""
     properties: dict[str, Scalar | FloatArray] = {**stated(header), "time_scale": clock.scale, "origin": origin}
@@ -129,7 +128,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def _rims(mesh: Mesh) -> FloatArray:
-    """Return the lines at borders and edges of a surface, (k, 2, 3) m; they make a cup of a translucent sheet."""
+    """Return the lines at borders and edges of a surface, (k, 2, 3) m, which show that a translucent sheet is a cup."""
     grain = _POINT * float(np.ptp(mesh.corners, axis=0).max())
     _, first, number = np.unique(np.round(mesh.corners / grain), axis=0, return_index=True, return_inverse=True)
     corners, triangles = mesh.corners[first], number.reshape(-1)[mesh.triangles]

@@ -52,7 +52,7 @@ class LiveView:
         return () if self._stream is None else (self._stream,)
 
     def flush(self) -> None:
-        """Wait until the viewer has received everything; stop sending to a closed viewer: the queue would grow."""
+        """Wait until the viewer has received everything; stop sending to a closed viewer, lest the queue grow."""
         if self._stream is None:
             return
         try:
@@ -80,14 +80,14 @@ _BODY_BYTES, _FRAME_BYTES = 40, 500  # bytes of a frame: for each body with its 
 
 # Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. A long run
 # therefore joins batches, so that their number grows logarithmically with time and size: 28 800 batches make a footer
-# of 2 GB, the largest readable one.
-PROMPT_BATCHES = 100  # first batches, which are written without joining
+# of 2 GB, the largest readable footer.
+PROMPT_BATCHES = 100  # number of first batches that are written without joining
 OF_TIME = 0.01  # largest fraction of its run time that a killed run may lose
 OF_SIZE = 0.004  # largest fraction of its recorded bytes that a killed run may lose
 JOINED_BYTES = 64_000_000  # largest joined batch, for recordings above 16 GB; 28 800 such batches are 1.8 TB
-_ENCODED = 1.3  # most bytes in the file per byte of data
+_ENCODED = 1.3  # largest ratio of bytes in the file to bytes of data
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
-_CONTINUED_BYTES = 16_000_000  # most bytes of continued frames that wait in Rerun's encoder
+_CONTINUED_BYTES = 16_000_000  # bytes of continued frames that may wait in Rerun's encoder
 _FOOTER_BYTES = 120  # bytes of the footer for each message; 50 were measured
 
 
@@ -154,7 +154,7 @@ class Stream:
 
     @property
     def _largest(self) -> int:
-        """Most bytes of rows that may wait."""
+        """Largest number of bytes of waiting rows."""
         return max(BATCH_BYTES, min(JOINED_BYTES, int(OF_SIZE * self.payload_bytes)))
 
     def _send_waiting(self) -> None:

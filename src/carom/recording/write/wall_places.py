@@ -1,8 +1,8 @@
 """The places of planes and walls that move: a transform for each, at every frame and at impacts.
 
-A plane is drawn as if it were infinite, so a displacement along itself shows nothing, and a conveyor belt that runs for
-ever would leave the view. A plane with a constant velocity is therefore displaced only along its normal; oscillations
-are drawn in full.
+A plane is drawn as if it were infinite, so a displacement within the plane is invisible, and a conveyor belt that runs
+for ever would leave the view. A plane with a constant velocity is therefore displaced only along its normal;
+oscillations are drawn in full.
 """
 
 from __future__ import annotations

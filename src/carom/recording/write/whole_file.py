@@ -39,7 +39,7 @@ def refuse_name(path: Path) -> None:
 
 
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
-    """Raise RecordingError if an output is its own source, a ``what``, even if files may be replaced."""
+    """Raise RecordingError if an output is its own source, of the kind ``what``, even if files may be replaced."""
     if path.exists() and source.exists() and path.samefile(source):
         raise RecordingError(f"{path} is the {what} itself; choose another file with -o")
 
@@ -173,7 +173,7 @@ def name_until_whole(path: Path) -> Path:
 
 
 def killed_run_of(path: Path) -> Path | None:
-    """Return the file of a run that was killed before it replaced a recording; None if no run was, or while it runs."""
+    """Return the file of a run that was killed before it replaced a recording; None if none was, or while it runs."""
     with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: links in a circle
         real = path.resolve()
         lock, left = real.with_name(f".{real.name}.lock"), name_until_whole(real)
@@ -206,7 +206,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_name(path: Path, ending: str) -> Iterator[Path]:
-    """Yield an unused path beside another, and remove its file at the end. Open it with ``x``."""
+    """Yield an unused path beside another, and remove its file at the end. Open it with mode ``x``."""
     part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{ending}")
     try:
         yield part

@@ -18,8 +18,8 @@ from carom.errors import SceneError
 from carom.scene.data.facts import Facts
 from carom.scene.wording import suggestion
 
-MOST_ROWS = 50_000_000  # most rows; a run needs 1 kB per body
-MOST_BYTES = 100 * MOST_ROWS  # most bytes of a column as an array
+MOST_ROWS = 50_000_000  # largest number of rows; a run needs 1 kB per body
+MOST_BYTES = 100 * MOST_ROWS  # largest size of a column as an array, in bytes
 MOST_COLUMNS = 10_000
 ROOMY = 250_000_000  # bytes to which the columns of any file may decompress
 NUMBER = 8  # bytes of a number in memory
@@ -29,7 +29,7 @@ FREE_ROWS = 2_000_000
 LEAST_ROW = 10  # bytes of the file for each further body; three coordinates in single precision take 12
 
 _FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 if the exponent has three digits
-_LONGEST_NUMBER = 60  # most characters of a number
+_LONGEST_NUMBER = 60  # largest number of characters of a number
 _EXACT = 2**53  # floats represent whole numbers below this exactly
 
 Raw = NDArray[Any]  # (n,) or (n, 3), with an axis of steps first if there are several
@@ -195,7 +195,7 @@ def texts_of(raw: Raw) -> list[str]:
 def _text(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):  # pandas' mark for a missing value
         return ""
-    # pandas' form of 5 in a column with a gap
+    # pandas reads 5 as 5.0 in a column with a gap
     if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:
         return str(int(value))
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
@@ -210,7 +210,7 @@ _CONVERTED = {  # formats of point clouds and meshes, which have no radii or mas
     ".pcd": "write it as .xyz, a row of x y z for each point, with pcl_convert or Open3D",
 }
 _ROUNDED = 1e-8  # relative error of a time that was printed and typed again
-_LONGEST_REASON = 200  # most characters of a library's message
+_LONGEST_REASON = 200  # largest number of characters of a library's message
 
 
 def open_table(
@@ -230,7 +230,7 @@ def open_table(
         raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {remedy}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        # only if a time is requested, since otherwise a column of the table may hold times
+        # only if a time is requested, since otherwise a column of the table may contain times
         if time is not None and form.times is not None:
             times = np.asarray(form.times(path, called), dtype=np.float64)
             rounding = _ROUNDED * float(np.abs(times).max())

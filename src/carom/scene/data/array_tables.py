@@ -35,8 +35,8 @@ from carom.scene.data.facts import Facts, FileBox
 from carom.scene.units.system import UnitSystem
 
 _MOST_DATASETS = 10_000
-_MOST_NODES = 20_000  # most groups and datasets; looking through them takes half a second
-_LONGEST_PATH = 1000  # most characters of a path; HDF5's time grows as the square of the depth
+_MOST_NODES = 20_000  # largest number of groups and datasets; looking through them takes half a second
+_LONGEST_PATH = 1000  # largest number of characters of a path; HDF5's time grows as the square of the depth
 _HEADER = "Header"  # name of a group in the snapshots of Gadget, AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/(\w+)")
 _MASSES = "Masses"
@@ -53,7 +53,7 @@ _SIZES = {  # key of [units] → unit, and attributes of Gadget and AREPO, GIZMO
 }
 _OF_GAS = ("Density",)  # columns that describe the gas around a particle, not a sphere
 _SUFFIX = ".npy"
-_LARGEST_HEADER = 10_000  # most characters of a header
+_LARGEST_HEADER = 10_000  # largest number of characters of a header
 
 
 def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
@@ -229,7 +229,7 @@ def _units_of_gadget(header: Mapping[str, Any]) -> dict[str, str]:
 
     Gadget, AREPO and GIZMO count lengths and masses in 1/h of UnitLength_in_cm and UnitMass_in_g, with h in HubbleParam
     (Springel, User guide for GADGET-2, section 5.2: "the internal length unit in cm/h"; Hopkins, load_from_snapshot.py
-    of GIZMO, multiplies Coordinates and Masses by 1/h and Velocities not).
+    of GIZMO, multiplies Coordinates and Masses by 1/h, but not Velocities).
     """
     h = float(np.max(header.get("HubbleParam", 1.0))) or 1.0
     found = dict[str, str]()

@@ -47,7 +47,7 @@ _FOOTER_HEAD = 32  # first bytes of a footer; they contain the number of its ele
 # head of a footer whose list has 15 or more elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)
 _BLOCK = 1 << 20  # bytes of a file that are read at a time
-_ELEMENTS = 4  # most elements of a schema for each column; a list has three
+_ELEMENTS = 4  # largest number of elements of a schema for each column; a list has three
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
@@ -80,7 +80,7 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _columns_of_parquet(path: Path) -> int:
-    """Return the number of elements of a schema, read from the footer's first bytes since pyarrow takes long for many.
+    """Return the number of elements of a schema, read from the footer's first bytes, since pyarrow is slow for many.
 
     The footer begins with the version and the list of the elements (Thrift's compact protocol). For any other
     beginning, return 0; pyarrow then reports the damage.
@@ -251,7 +251,7 @@ class _TextTable(_ArrowTable):
         try:
             table = pyarrow.csv.read_csv(source, options, parse_options=parse, convert_options=convert)
         except pa.ArrowInvalid:
-            if rows is None:  # reports the first line with another number of values
+            if rows is None:  # this reports the first line with another number of values
                 with self._path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
                     rewritten(TextLines(file), self._dialect, False, skipped, self.called)
             raise

@@ -134,8 +134,8 @@ def read_columns(
 ) -> ReadBodies:
     """Read and check the bodies of a [[bodies]] table, in units of the simulation.
 
-    ``centre`` is the central body of orbital elements. The notes name used and unused columns. Raises
-    SceneError, which names the table, the column and the row.
+    ``centre`` is the central body of orbital elements. The notes name used and unused columns. Raises SceneError, which
+    names the table, the column and the row.
     """
     orbits = None
     if section.orbit is not None and centre is not None:

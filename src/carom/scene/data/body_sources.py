@@ -20,7 +20,7 @@ from carom.scene.schema.contact import Material
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-LARGEST_DATA = 10**11  # most bytes of a file; computing the digest of so many bytes takes a minute
+LARGEST_DATA = 10**11  # largest size of a file in bytes; computing its digest takes a minute
 
 
 class SourcedBodies(NamedTuple):

@@ -22,9 +22,9 @@ from carom.scene.units.system import OWN, SI, UnitSystem
 ECLIPTIC = "ecliptic of J2000"
 SUN = "Sun"
 _SAME_EPOCH = 1e-5  # days within which epochs agree; printed Julian dates have seven digits or more after the point
-_LONGEST_NAME = 40  # most characters of a name in a message
-_LONGEST_SPLIT = 200  # most characters of a name in which a unit is searched
-_NAMES_KEPT = 100_000  # most names of columns that are remembered; a wide table has some thousands
+_LONGEST_NAME = 40  # largest number of characters of a name in a message
+_LONGEST_SPLIT = 200  # largest number of characters of a name in which a unit is searched
+_NAMES_KEPT = 100_000  # largest number of columns' names that are remembered; a wide table has some thousands
 _WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*(?:\([^()]*\)[^()]*)*)\))\s*")  # "x [au]", "mass (kg)"
 _OVER = re.compile(r"([^/]+?)\s*/\s*\(?([^()]+?)\)?")  # "x/m" and "v/(m/s)", as ISO 80000 writes headers
 _INDEX = re.compile(r"[\s_:.\[(-]+([012])[\])]?\Z")  # index of a component: "Points:0", "v_2", "velocity[1]"

@@ -52,7 +52,7 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # names with x, y and z in place of 
     "velocity": (*(f"{name}*" for name in USUAL["velocity"]), "*velocity", "*vel"),
     "angular_velocity": ("w*", *(f"{name}*" for name in USUAL["angular_velocity"]), "*angularvelocity"),
 }
-_LOST = {  # names of vectors that may hold a quantity begin like this, if carom does not know the names
+_LOST = {  # beginnings of unknown names of vectors that may hold a quantity
     "velocity": ("v", "lin", "momenta", "momentum"),
     "angular_velocity": ("ang", "om", "rot", "spin"),
 }
@@ -79,8 +79,8 @@ _OF_ELEMENTS = {
 }
 ORIENTED = ("e", "i", "node", "peri")  # elements that every orbit needs; other elements may replace each other
 _RIVALS = (("mass", "density"), ("radius", "diameter"))  # pairs of quantities that determine each other
-_MOST_SHOWN = 12  # most columns that a message lists
-_MOST_NOTED = 200  # most columns that a note lists
+_MOST_SHOWN = 12  # largest number of columns that a message lists
+_MOST_NOTED = 200  # largest number of columns that a note lists
 
 # further columns of elements
 _ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))
@@ -275,7 +275,7 @@ def usual_names(names: Sequence[str]) -> int:
 
 
 def question(called: str, column: FileColumn, quantity: str, others: str) -> SceneError:
-    """Return the error for a column that may have another meaning than the usual one."""
+    """Return the error for a column whose meaning may not be the usual one."""
     named = f'columns = {{ {quantity} = "{printable(column.name)}" }}'
     return SceneError(
         f"{called}: column {printable(column.name)} may be the {quantity}, or {others}; write {named} if it is the "

@@ -22,7 +22,7 @@ _COLUMNS = {  # columns by the number of words in a step's line
     6: ("x", "y", "vx", "vy", "radius", "angle", "-wz", "info"),
     8: (*("x", "y", "z", "vx", "vy", "vz", "radius"), *("angle x", "angle y", "angle z", "wx", "wy", "wz", "info")),
 }
-_LONGEST = 100_000  # most characters in a line
+_LONGEST = 100_000  # largest number of characters in a line
 
 
 class _Step(NamedTuple):
@@ -93,7 +93,7 @@ def _steps(file: TextIO, called: str) -> Iterator[_Step]:
 
 
 def times_of(path: Path, called: str) -> list[float]:
-    """Return the times of the steps of MercuryDPM; none for LAMMPS."""
+    """Return the times of the steps of MercuryDPM; SceneError for a file of LAMMPS, which has one step."""
     with path.open(encoding="utf-8", errors="replace", newline="\n") as file:
         if _first_line(file.readline(_LONGEST)) is None:
             raise SceneError(f"{called}: a data file of LAMMPS has one step; leave snapshot_time out")

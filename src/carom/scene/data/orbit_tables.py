@@ -29,7 +29,7 @@ _NAMES = {"AU": "au", "KM": "km", "D": "day", "S": "s"}  # names of units in Hor
 _LABELLED = re.compile(r"\b(V?[XYZ])\s*=\s*(\S+)")  # a value in a table that is not CSV
 _EPOCH = re.compile(r"\s*(\d{7}\.\d+)\s*=", re.MULTILINE)
 _VECTOR = ("X", "Y", "Z", "VX", "VY", "VZ")
-_LARGEST = 200_000_000  # most bytes of a file
+_LARGEST = 200_000_000  # largest size of a file in bytes
 _PLACES = {  # element with unit → its first and last column, counted from 1
     "epoch [day]": (21, 25),
     "ma [deg]": (27, 35),

@@ -43,9 +43,9 @@ _UNITS_OF_JPL = {
     **dict.fromkeys(("i", "om", "w", "ma"), "deg"),
 }
 _IN_DEGREES = {"i", "om", "w", "ma"}  # JPL's names of angles, which it writes in degrees
-_JULIAN = (2.2e6, 2.7e6)  # Julian dates of the years 1311 to 2680; an epoch outside of this range is no Julian date
-_TERMS = 9  # terms in the series of Stumpff's functions; the next one is less than 1e-18
-# most steps of Newton's method: it takes some 6 for an ellipse, and one per unit of the anomaly for a hyperbola
+_JULIAN = (2.2e6, 2.7e6)  # Julian dates of the years 1311 to 2680; an epoch outside of this range is not a Julian date
+_TERMS = 9  # terms in the series of Stumpff's functions; the next term is less than 1e-18
+# largest number of steps of Newton's method: an ellipse takes some 6, a hyperbola one per unit of the anomaly
 _MOST_STEPS = 1000
 
 

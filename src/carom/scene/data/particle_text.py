@@ -52,11 +52,11 @@ _IN_TITLE = re.compile(rb"[^\n]*\bunits = (\w{1,20})")  # statement in the first
 _MOST_STEPS = 10_000_000
 _COUNT = re.compile(rb"^\s*([0-9]{1,18})\s+atoms\b", re.MULTILINE)  # number of atoms in the header of a data file
 _HEAD = 10_000  # bytes at the beginning of a data file that contain its header
-_LINES = 20  # most lines of a data file per atom, including bonds, angles and dihedrals
-_HEADER_LINES = 1000  # most further lines: header, masses, coefficients
-_LONGEST = 1_000_000  # most characters in a line
-_DIGITS = 20  # most digits of a number of rows; numbers below 2⁶³ have at most 19
-_WIDEST = 100  # most numbers of a property in a row
+_LINES = 20  # largest number of lines of a data file per atom, including bonds, angles and dihedrals
+_HEADER_LINES = 1000  # largest number of further lines: header, masses, coefficients
+_LONGEST = 1_000_000  # largest number of characters in a line
+_DIGITS = 20  # largest number of digits of a number of rows; numbers below 2⁶³ have at most 19
+_WIDEST = 100  # largest number of values of a property in a row
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
 _PERIODIC = re.compile(r'\bpbc="?([TF01][TFrueals01 ]*)', re.IGNORECASE)
 _LATTICE = re.compile(r'\bLattice="([^"]*)"', re.IGNORECASE)
@@ -151,7 +151,7 @@ class _Dump(DataTable):
 
 
 def _units_called(called: str, name: str) -> UnitSystem:
-    """Return the units that LAMMPS calls ``name``; without a name, SI, which states nothing."""
+    """Return the units that LAMMPS calls ``name``; without a name, SI, which states no unit."""
     if name and name not in UNITS:
         raise SceneError(
             f"{called}: its numbers are in the units {printable(name)} of LAMMPS, which carom does not know; it knows "

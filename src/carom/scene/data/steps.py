@@ -62,7 +62,7 @@ def rows_of_step(
     Returns
     -------
     mask, note, choosing
-        Mask of the rows (n,), or None for all; a note on these rows; the columns by which they were chosen.
+        Mask of the rows (n,), or None for all rows; a note on these rows; the columns by which they were chosen.
     """
     there = [each for each in steps.times if raw[each.name].shape == (rows,)]
     several = [each for each in there if len(_distinct(raw[each.name])) > 1]

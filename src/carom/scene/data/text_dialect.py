@@ -18,7 +18,7 @@ from carom.scene.data.mapping import usual_names
 from carom.scene.wording import counted
 
 HEAD = 1_000_000  # bytes in which a format is recognised; a longer line is refused
-_SAMPLE = 50  # most lines of these bytes that are examined
+_SAMPLE = 50  # largest number of lines of these bytes that are examined
 _LARGEST = 500_000_000  # bytes of the largest file that is rewritten in memory
 _COMMENTS = ("#", "%", "!", "//")
 _SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
@@ -130,7 +130,7 @@ class TextLines(Iterator[str]):
 
 
 def _separator(sample: Sequence[str], usual: str) -> tuple[str, bool]:
-    """Return the separator that divides most numbers, the same in all lines, and whether decimals follow a comma."""
+    """Return the separator that divides all lines alike into most numbers, and whether decimals follow a comma."""
     body, best = sample[1:] or sample, (0, usual, False)
     for separator in _SEPARATORS:
         rows = [_cells(line, separator, whole=True) for line in body]

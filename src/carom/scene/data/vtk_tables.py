@@ -37,16 +37,16 @@ _KINDS = {
 }
 _DATASETS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
-_LONGEST = 10_000  # most characters in a line
-_DIGITS = 12  # most digits of a number of values; a file of `_LARGEST` bytes has fewer
+_LONGEST = 10_000  # largest number of characters in a line
+_DIGITS = 12  # largest number of digits of a number of values; a file of `_LARGEST` bytes has fewer
 _DIGITS_OF_WIDTH = 4
-_MOST_FIELDS = 10_000  # most arrays of a file
+_MOST_FIELDS = 10_000  # largest number of arrays of a file
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')
 _ATTRIBUTES = {
     **{f"{sign}Int{8 * size}": f"{letter}{size}" for sign, letter in (("", "i"), ("U", "u")) for size in (1, 2, 4, 8)},
     **{"Float32": "f4", "Float64": "f8"},
 }
-_LARGEST = 2_000_000_000  # most bytes of a file
+_LARGEST = 2_000_000_000  # largest size of a file in bytes
 
 
 def open_vtk(path: Path, called: str, snapshot: int) -> DataTable:

@@ -135,7 +135,7 @@ def combined(one: Coefficients, other: Coefficients) -> Coefficients:
     """Return the coefficients of a contact of two materials: the smaller restitution, the mean friction.
 
     The mean is geometric, as in Box2D: friction is 0 if one of the two is smooth. In contacts of a material with
-    itself, its own coefficients hold to the last bit.
+    itself, its own coefficients apply to the last bit.
     """
     if one == other:
         return one

@@ -1,10 +1,9 @@
 """The dimensions of quantities with their SI units, and all units: names, sizes in SI, and texts such as "3 km".
 
-Only this module imports pint. The definitions of units are carom's own and exact (`definitions.txt`). A
-conversion is a product of fractions that is rounded once, with the same bits for every version of pint and on every
-machine. pint takes a quarter of a second to import, so it is imported when the first unit is read. Prefixes are
-accepted only where they are customary: with all prefixes, typing errors such as "12 hh" would be valid units
-(hectohours).
+Only this module imports pint. The definitions of units are carom's own and exact (`definitions.txt`). A conversion is a
+product of fractions that is rounded once, with the same bits for every version of pint and on every machine. pint takes
+a quarter of a second to import, so it is imported when the first unit is read. Prefixes are accepted only where they
+are customary: with all prefixes, typing errors such as "12 hh" would be valid units (hectohours).
 """
 
 from __future__ import annotations
@@ -126,7 +125,7 @@ _FOREIGN = {
     **{"Angstrom": "angstrom", "u": "dalton", "Da": "dalton"},
 }
 
-LONGEST = 80  # most characters of a text that is read
+LONGEST = 80  # largest number of characters of a text that is read
 DEFINITIONS = Path(__file__).with_name("definitions.txt")
 
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -196,7 +195,7 @@ def unit(text: str) -> Unit:
 
 
 def unit_of(text: str, dimension: Dimension) -> Unit:
-    """Read a unit of a dimension; raises `UnitError` if the text is no unit, or has another dimension."""
+    """Read a unit of a dimension; raises `UnitError` if the text is not a unit, or has another dimension."""
     try:
         known = unit(text)
     except UnknownUnitError as error:

@@ -1,15 +1,16 @@
-// Shows recording.rrd in Rerun's web viewer. The address may end in "#at=42900000&show=moment-1": the time at which
-// it is paused, in ns of its timeline, and the name of two files for it: moment-1.rbl, a layout, and moment-1.rrd, the
-// same layout and what is to be added to the recording. "of=ball" shows ball.rrd, one of several recordings, whose
-// layout is ball.rbl.
+// Shows recording.rrd in Rerun's web viewer. The address may end in "#at=42900000&show=moment-1": the time at which the
+// viewer pauses, in ns of the recording's timeline, and the name of two files for that moment: moment-1.rbl, a layout,
+// and moment-1.rrd, the same layout and data to add to the recording. "of=ball" shows ball.rrd, one of several
+// recordings, with its layout ball.rbl.
 "use strict";
 
-const PATIENCE = 200; // ms between two looks at what the viewer has loaded
-const UNANSWERED = 5000; // ms after which a request to the viewer is made again
+const PATIENCE = 200; // ms between two checks of the viewer's state
+const UNANSWERED = 5000; // ms after which a request to the viewer is repeated
 const progress = document.getElementById("progress");
 
-// Rerun asks its makers' hosts for news and sends them usage data. A recording stays where it is: nothing leaves this
-// origin. The page's security policy would refuse these requests, too, with an error in the console for each.
+// Rerun's viewer asks its makers' hosts for news, and sends them usage data. Here, no request leaves this origin, so
+// recordings stay private. The page's security policy would also refuse such requests, with an error in the console for
+// each.
 const fetchAnything = window.fetch.bind(window);
 window.fetch = (request, options) => {
   const url = new URL(request instanceof Request ? request.url : request, location.href);
@@ -17,8 +18,8 @@ window.fetch = (request, options) => {
   return ours ? fetchAnything(request, options) : Promise.resolve(new Response(null, { status: 204 }));
 };
 
-// The colours of a recording are made for a dark ground, and the viewer takes its theme from the browser: where that is
-// light, coloured words would stand on light grey. The viewer is told that it is dark.
+// The colours of a recording are for a dark background, but the viewer takes its theme from the browser: in a light
+// theme, coloured words would be on light grey. The viewer is therefore told that the browser's theme is dark.
 const askAnything = window.matchMedia.bind(window);
 window.matchMedia = (query) => {
   const scheme = /prefers-color-scheme:\s*(\w+)/.exec(query);
@@ -49,7 +50,7 @@ async function download(name) {
   }
 }
 
-// Some hosts unpack a .gz file on its way to the browser.
+// Some hosts unpack a .gz file before they send it to the browser.
 async function unpacked(blob) {
   const [first, second] = new Uint8Array(await blob.slice(0, 2).arrayBuffer());
   if (first !== 0x1f || second !== 0x8b) return blob.arrayBuffer();
@@ -110,13 +111,13 @@ const moment = named("show");
 const recording = `${named("of") ?? "recording"}.rrd`;
 const layout = named("of") ?? "layout";
 
-// The viewer takes up what it is given in its next frame, and without an event it may not paint one for ever: after a
-// reload on a busy machine it waited for the mouse to move. It repaints when its page is shown.
+// The viewer uses new data in its next frame, which it may never paint without an event: after a reload on a busy
+// machine, it waited for the mouse to move. It repaints when its page is shown.
 function wake() {
   window.dispatchEvent(new Event("pageshow"));
 }
 
-// Hands a small file to the viewer, without leaving what it shows.
+// Sends a small file to the viewer, which continues to show its recording.
 async function send(viewer, name) {
   const bytes = new Uint8Array(await (await got(name)).arrayBuffer());
   viewer.open_channel(name, name);
@@ -127,16 +128,16 @@ async function send(viewer, name) {
 }
 
 async function load(viewer) {
-  await send(viewer, `${moment ?? layout}.rbl`); // a recording without a layout would be shown with one of the viewer's own
+  await send(viewer, `${moment ?? layout}.rbl`); // sent first, since otherwise the viewer would make a layout of its own
   viewer.add_receiver(new URL(recording, location.href).href);
   for (let there = false; !there; ) {
     wake();
     await pause();
     const { recordings, loading } = opened(viewer);
-    // refused as long as the recording has no times, and repeated until all of it has come
+    // the viewer refuses a time until the recording has times, so this is repeated until the recording is loaded
     there = recordings > 0 && (time === null || (await goThere(viewer))) && loading === 0;
   }
-  if (moment !== null) await send(viewer, `${moment}.rrd`); // the recording has brought its own layout
+  if (moment !== null) await send(viewer, `${moment}.rrd`); // sent last, since the recording contains its own layout
 }
 
 async function goThere(viewer) {
