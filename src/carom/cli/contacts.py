@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
     from carom.terminal.answers import Part
 
-MOST_ROWS = 40  # most rows printed in the table
+MOST_ROWS = 40  # largest number of rows printed in the table
 _ROUNDING = 1e-9  # relative rounding of the normal impulse and of its work at the approach speed
 FORMATS = (".parquet", ".csv")  # suffixes of tables
 FIGURES = (".png", ".svg")  # suffixes of figures of statistics
@@ -187,7 +187,7 @@ def _measure(
 
 
 def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
-    """Return the time of the bodies' hardest recorded impact; None without one."""
+    """Return the time of the bodies' hardest recorded impact; None if there is none."""
     import numpy as np
 
     from carom.recording.read.recorded_contacts import of_body

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
     from carom.terminal.progress import RunProgress
 
-NAMED = 3  # most descriptions of uncompared data that are printed
+NAMED = 3  # largest number of descriptions of uncompared data that are printed
 ASKS_ABOVE = 60.0  # s, the longest replay that needs no consent
 NEARLY_ALL = 0.995  # a larger fraction of the motion prints as 100 %, and is not mentioned
 _CHECKS = "Check energy and momentum every N steps. Default: as the scene says."

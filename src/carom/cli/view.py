@@ -265,7 +265,7 @@ def publish(
 
 
 LONGEST = 3600.0  # s, longest movie
-FASTEST = 120.0  # most pictures per second
+FASTEST = 120.0  # largest number of pictures per second
 GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers play GIFs with more frames per second too slowly
 
 

@@ -26,7 +26,7 @@ from carom.scene.start import names_of_solids
 from carom.scene.wording import Names, nearest
 from carom.state.frame import Frame
 
-LONGEST = 1000  # most characters of an expression
+LONGEST = 1000  # largest number of characters of an expression
 _EXAMPLE = "expected a condition such as energy.max_error > 1e-3"
 _WORDS: dict[str, Any] = {"true": True, "false": False, "null": None, "inf": math.inf, "nan": math.nan}
 _COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
@@ -185,7 +185,7 @@ class Touches:
     def __init__(self, space: Space) -> None:
         self._names = Names(list(space.names), names_of_solids(space.scene))
         self._radius = space.state.radius
-        self._since: dict[Pair, tuple[int, float]] = {}  # first step of a steady overlap, and the overlap
+        self._since: dict[Pair, tuple[int, float]] = {}  # first step and depth of a steady overlap
         self.pairs: set[Pair] = set()
         self.sunk: dict[Pair, float] = {}  # overlap, relative to the smaller radius, of each pair that overlaps at rest
 

@@ -46,7 +46,7 @@ TURNED = 0.01  # relative change (or rad), in a step, of a torque that resists r
 FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
 SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
 
-MOST_IMPACTS = 3  # most impacts that a message lists
+MOST_IMPACTS = 3  # largest number of impacts that a message lists
 
 Pair = tuple[int, int]  # numbers of two bodies; numbers from n on are planes and walls
 Impacts = tuple[tuple[str, float], ...]  # names of both ends, and closing speed in m/s

@@ -91,7 +91,7 @@ def _cpu() -> str:
 _HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
 _BRANCH = re.compile(r"ref: (refs/.+)")
 _SHA1 = 40  # number of digits
-_LONGEST = 4096  # most characters of a file with one line
+_LONGEST = 4096  # largest number of characters of a file with one line
 _TIME = 5  # s, time limit of Git
 _CONFIG = "[core]\nrepositoryformatversion = 0\n"
 _CONFIG_SHA256 = "[core]\nrepositoryformatversion = 1\n[extensions]\nobjectformat = sha256\n"
@@ -246,7 +246,7 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    """Return whether a frame is within an import, where an exception would leave it half done, or be printed."""
+    """Return whether a frame is within an import; an exception would leave the import half done, or be printed."""
     while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
         frame = frame.f_back
     return frame is not None
@@ -270,7 +270,7 @@ def leave(number: int = 0) -> NoReturn:
 
 
 def _raise_later(lost: sys.UnraisableHookArgs) -> None:
-    """Raise an interrupt again that C code dropped because it arrived within a callback."""
+    """Raise again an interrupt that C code dropped because the interrupt arrived within a callback."""
     if lost.exc_type is not KeyboardInterrupt or not received():
         sys.__unraisablehook__(lost)
         return

@@ -99,10 +99,10 @@ class Cost:
     """Estimated cost of a run."""
 
     steps: int
-    fewest_steps: int  # least number of steps in the estimated range
+    fewest_steps: int  # smallest number of steps in the estimated range
     most_steps: int
     limits: dict[str, float]  # fraction of the steps that each limit sets; the largest fraction first
-    looked_until: float  # s, end of the coarse run, which is the end of the run unless it took too long
+    looked_until: float  # s, end of the coarse run, which is the end of the run unless the coarse run took too long
     seconds: float  # s to compute everything: start, all steps and all frames
     start_seconds: float  # s to load libraries and kernels, to find the step of an accuracy, and to close the file
     step_seconds: float  # s for a step, averaged over all steps
@@ -286,7 +286,7 @@ def _within(name: str, needs: Requirements) -> str | None:
     return (with_others | {"restitution": "contact", "friction": "contact"}).get(name)
 
 
-BATCH_FRAMES = 100  # most frames in the batch that is written to measure sizes
+BATCH_FRAMES = 100  # largest number of frames in the batch that is written to measure sizes
 
 
 @dataclass(frozen=True, slots=True)

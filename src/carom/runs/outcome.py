@@ -45,7 +45,7 @@ class Verdict:
 
     @property
     def met(self) -> bool:
-        """Whether the promise was kept or is not judged; a measured NaN breaks it."""
+        """Whether the promise was kept or is not judged; a measured NaN breaks the promise."""
         if not self.judged:
             return True
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit

@@ -182,7 +182,7 @@ class _Window:
             self.differs = frame.step
 
     def difference(self, space: Space, ended: str) -> Difference | None:
-        """Return the difference of the states, or the difference of the lengths of the runs."""
+        """Return the difference between the states, or between the lengths of the runs."""
         if self.differs is not None:
             return Difference(self.differs, self._times[self.differs], "the exact state", None, "one", "another")
         if ended or self.compared == len(self.fingerprints):

@@ -39,7 +39,8 @@ STATE = 1e-3
 PULLED = 0.1  # tolerance of velocities relative to their change in a step by forces that vary along a path
 ROUGH = 20.0  # factor on the tolerances of bodies that rub under load while a contact begins, ends or changes its mode
 LEDGER = 1e-3  # tolerance of a ledger entry relative to the moved energy; the default of `record.energy_tolerance`
-# tolerance of a ledger entry in one interval, relative to the kinetic energy, if bodies with most of it are predictable
+# tolerance of a ledger entry in one interval, relative to the kinetic energy, if bodies with most of it move
+# predictably
 SUDDEN = 0.2
 CHAOTIC = 5e-2  # tolerance of a ledger entry if chaos ends the comparison of bodies, so that entries are statistics
 REGULAR = 0.99  # chaos decides if less than this fraction of the motion was compared
@@ -47,7 +48,7 @@ OVERLAP = 5e-2  # tolerance of overlaps relative to the smaller radius; a step m
 MOST_GROWTH = 300.0  # growth beyond which a twin's tolerance of positions would be a third of the distance covered
 COMPARABLE = 0.5  # a new window begins when less than this fraction of the free bodies is comparable
 CERTAIN = 4.0  # number of standard errors at which the mean difference of a ledger entry is certain
-FEWEST_INTERVALS = 8  # fewest intervals for a mean difference
+FEWEST_INTERVALS = 8  # smallest number of intervals for a mean difference
 AT_REST = 1e-6  # speed, relative to the largest, below which bodies are compared as if they had this speed
 EPS = float(np.finfo(np.float64).eps)
 

@@ -50,15 +50,15 @@ from carom.sharing.report import ENERGY_ERROR, worst_moment
 
 LIST = "carom-page.json"  # name of the file that lists the files of a publication with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
-MOST_PROBLEMS = 20  # most problems on a page
+MOST_PROBLEMS = 20  # largest number of problems on a page
 _BODIES, _ENERGY = "bodies", "energy"  # names of views
 _PART = re.compile(r"\.[0-9a-f]{8}\.part")
 _TAKEN = {"index", "viewer", "layout", "recording"}  # stems of other files in the folder
 MOST_IMPACTS = 10  # largest number of impacts that all become moments
 HARDEST = 3  # if there are more impacts, this number of the hardest ones become moments
-FAINTEST = 0.01  # least impulse relative to the largest; weaker impacts explain nothing
+FAINTEST = 0.01  # smallest impulse that is shown, relative to the largest; weaker impacts explain nothing
 _ROUNDING = 1e-9  # rounding relative to the normal impulse
-DEEP = 0.01  # least overlap relative to the smaller radius; shallower overlaps explain nothing
+DEEP = 0.01  # smallest overlap that is shown, relative to the smaller radius; shallower overlaps explain nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,8 +277,8 @@ class TellingMoment:
 def telling_moments(recording: Recording) -> list[TellingMoment]:
     """Choose the moments.
 
-    The moments are the initial state, if there are many bodies; all impacts, if they are few, otherwise the hardest
-    impacts and the moment with the most contacts; and the end. The worst moment of a run that went wrong, a deep
+    The moments are the initial state if there are many bodies, all impacts if there are few (otherwise the hardest
+    impacts and the moment with the most contacts), and the end. The worst moment of a run that went wrong, a deep
     overlap, and a large integration error are added. Raises RecordingError if the recording has no frame.
     """
     recording.require_frames()

@@ -40,8 +40,8 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, in_one_line, literal
 
 FRAMES = 120  # largest number of frames in the clip, half of them before the time of interest
-ROOM = 7_000_000  # most bytes of the clip before compression
-FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # most frames and bytes of a second clip, which shows a broken law
+ROOM = 7_000_000  # largest number of bytes of the clip before compression
+FRAMES_OF_LAW, ROOM_OF_LAW = 20, 200_000  # limits on the frames and bytes of a second clip, which shows a broken law
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # relative error of the energy above which the error becomes the subject of the report
 MOST_WARNINGS = 50
@@ -324,10 +324,10 @@ def _code(text: str) -> str:
     return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
 
 
-MOST_BODIES = 2000  # bodies in a clip without exact states; up to this number, they are drawn as ellipsoids
+MOST_BODIES = 2000  # limit on the bodies in a clip without exact states; up to it, bodies are drawn as ellipsoids
 BYTES_OF_A_BODY = 150  # bytes of a body in an exact state and static data; slightly less when compressed
 BYTES_DRAWN = 60  # bytes of a body in a frame
-MOST_READ = 2_000_000_000  # most bytes of frames that are read to cut out some bodies
+MOST_READ = 2_000_000_000  # largest number of bytes of frames that are read to cut out some bodies
 COMPRESSED = 4  # largest compression ratio (bodies at rest), which bounds the number of frames to try
 
 

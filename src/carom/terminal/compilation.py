@@ -31,7 +31,7 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
     try:
         helper = subprocess.Popen(
             [sys.executable, "-P", "-m", "carom.runs.warmup"],
-            stdin=subprocess.PIPE,  # the helper notices the end of this process by the pipe, which then closes
+            stdin=subprocess.PIPE,  # the pipe closes when this process ends, and the helper then ends, too
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )

@@ -31,7 +31,7 @@ AtOption = Annotated[
 
 
 def typed_time_or_none(recording: Recording, given: float | None) -> float | None:
-    """Return the result of `typed_time`, or None for None."""
+    """Return the result of `typed_time`; None stays None."""
     return None if given is None else typed_time(recording, given)
 
 
@@ -71,7 +71,7 @@ class GivenMoment:
 
     @property
     def option(self) -> str | None:
-        """The option that was given; None without one."""
+        """The option that was given; None if there is none."""
         return next(iter(self._given), None)
 
     @property

@@ -18,7 +18,7 @@ _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _WORK_TIME = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
 _NUMBER = re.compile(r"\s*([-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?)")
-PRINTED_DIGITS = 6  # fewest digits of a printed time, as `UnitSystem.text` writes them by default
+PRINTED_DIGITS = 6  # smallest number of digits of a printed time, as `UnitSystem.text` writes them by default
 OptionalTime = float | None  # a result of `seconds`, or None
 
 

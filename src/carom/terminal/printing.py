@@ -21,7 +21,7 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, escaped
 
 MINUTE, HOUR, DAY, YEAR = 60.0, 3600.0, 86400.0, 365.25 * 86400.0  # durations in s
-SHOWN = 3  # most printed warnings of one kind; the recording has all of them
+SHOWN = 3  # largest number of printed warnings of one kind; the recording has all of them
 
 
 @dataclass

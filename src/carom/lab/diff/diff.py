@@ -86,7 +86,7 @@ def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
 
 # The first impact at which two recordings differ.
 
-MOST_SKIPPED = 1000  # most unmatched impacts of a pair in one run; if there are more, the last impacts are not matched
+MOST_SKIPPED = 1000  # limit on the unmatched impacts of a pair in one run; beyond it, the last impacts are not matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 

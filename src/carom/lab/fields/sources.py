@@ -1,9 +1,9 @@
 """The data of fields: bodies and contacts at exact states, and impacts between these states, read or recomputed.
 
-At its checkpoints, a recording has exact velocities, and the impulses of lasting contacts over the whole step. Friction
-has the magnitude of the whole step, and the direction of the last kick, which the exact state contains. For the largest
-impacts, a recording has point, normal and normal impulse, but no direction of friction; for all impacts, friction
-included, it has the sum of ℓ ⊗ J.
+At its checkpoints, a recording has exact velocities, and the impulses of lasting contacts over the whole step. The
+magnitude of friction covers the whole step; its direction comes from the last kick, which the exact state contains. For
+the largest impacts, a recording has point, normal and normal impulse, but no direction of friction; for all impacts,
+friction included, it has the sum of ℓ ⊗ J.
 """
 
 from __future__ import annotations

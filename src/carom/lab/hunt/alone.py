@@ -20,7 +20,7 @@ from carom.runs.workers import LocalWorkers
 from carom.scene.load import Scene
 
 POLL = 0.2  # s between two checks of the budget
-STEPS = 400  # most steps of a run; a longer run is abandoned
+STEPS = 400  # largest number of steps of a run; a longer run is abandoned
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def last_ending(scenes: Sequence[tuple[int, int]]) -> Ending | None:
 
 
 def in_new_processes(tasks: Iterable[Sequence[tuple[int, int]]], budget: Budget) -> Iterable[Ending | None]:
-    """Yield `last_ending` of each list of scenes, run in a process of its own. Raises `OutOfTime`."""
+    """Yield `last_ending` of each list of scenes, each run in a process of its own. Raises `OutOfTime`."""
     for task in tasks:
         with LocalWorkers(1, attempts=1) as worker:
             worker.send(last_ending, {0: task})

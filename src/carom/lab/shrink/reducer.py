@@ -20,7 +20,7 @@ from carom.scene.start import InitialBodies
 from carom.scene.wording import counted
 from carom.state.frame import Frame
 
-ROOM = 200_000_000  # most bytes for stored states of a run
+ROOM = 200_000_000  # largest number of bytes for stored states of a run
 ROUNDING = 1e-9  # fraction of the duration by which a sum of steps may fall short
 STEPS_AFTER = (0, 1, 3)  # numbers of steps added after the failure, since a shorter run may have different steps
 
@@ -131,7 +131,7 @@ def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
 
 
 _GOES_AWAY = "the failure disappears when every body is written out, so it cannot be shrunk"
-MOST_ROUNDS = 12  # most rounds of all passes, even if the scene still changes
+MOST_ROUNDS = 12  # largest number of rounds of all passes, even if the scene still changes
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +227,7 @@ class Reducer:
     def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
         """Run the scene up to the failure; return it with bodies written out, and the first pass, which cuts time."""
         trials.budget.check()
-        threads = 1 if trials.condition.of_whole_run else None  # compared with a run on two threads
+        threads = 1 if trials.condition.of_whole_run else None  # this run is compared with one on two threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
         kept, seen = chronicle(space, trials, first=trials.condition.check)
         trials.condition = trials.condition.pinned(seen)

@@ -98,7 +98,7 @@ def write(path: Path, text: str) -> None:
         raise RecordingError(f"cannot write {path}: {error.strerror}") from None
 
 
-WIDTH = 110  # most characters in a line of a comment
+WIDTH = 110  # largest number of characters in a line of a comment
 
 
 def commented(document: Document, comments: list[str]) -> str:

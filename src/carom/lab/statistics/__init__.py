@@ -38,10 +38,10 @@ from carom.scene.wording import command
 Watcher = Callable[[StepStatus], None]
 
 _POINT, _NORMAL, _VELOCITY = ("x", "y", "z"), ("nx", "ny", "nz"), ("vx", "vy", "vz")  # names of columns
-MOST_STATES = 64  # most exact states whose velocities are used
+MOST_STATES = 64  # largest number of exact states whose velocities are used
 MOST_CONTACT_FRAMES = 32
-MOST_VELOCITIES = 2_000_000  # most velocities in memory, summed over these states
-MOST_CONTACTS = 2_000_000  # most bodies, summed over the frames whose contacts are used
+MOST_VELOCITIES = 2_000_000  # largest number of velocities in memory, summed over these states
+MOST_CONTACTS = 2_000_000  # largest number of bodies, summed over the frames whose contacts are used
 
 
 class NothingThereError(RecordingError):
@@ -118,7 +118,7 @@ class Interval:
 
     @cached_property
     def box(self) -> FloatArray | None:
-        """Size of the periodic box, (3,) m; None without one."""
+        """Size of the periodic box, (3,) m; None if there is none."""
         box = self.recording.info.get("box")
         return None if box is None else np.asarray(box, dtype=np.float64)
 

@@ -13,7 +13,7 @@ from carom.scene.units.dimension import Dimension
 from carom.scene.units.system import UnitSystem
 
 NUMBER = Dimension("number", "", (0, 0, 0, 0), "3")
-MOST_BINS = 40  # most bins of a histogram
+MOST_BINS = 40  # largest number of bins of a histogram
 TAIL = 0.995  # fraction of the values that a histogram shows; the largest values would stretch the axis
 
 
@@ -43,7 +43,7 @@ class Histogram:
     function: str = ""  # label of the function; empty for a density
     expected: FloatArray | None = None  # (b,) values of the theory
     theory: str = ""  # the name of the theory
-    falls: bool = False  # whether values decay about exponentially, for a logarithmic axis in a figure
+    falls: bool = False  # whether values decay roughly exponentially, for a logarithmic axis in a figure
 
     @classmethod
     def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:

@@ -38,7 +38,7 @@ KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name →
     "contacts": ("network of lasting contacts", measure_network),
     "forces": ("forces and force chains", measure_forces),
 }
-MOST_ROWS = 12  # most rows of a printed table
+MOST_ROWS = 12  # largest number of rows of a printed table
 COLUMNS = 3
 FEWEST_BINS = 3  # smallest number of bins of a panel; fewer bins show no shape
 PANEL = 3.5, 2.7  # width and height of a panel in inches

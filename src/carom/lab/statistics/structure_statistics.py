@@ -35,13 +35,13 @@ from carom.lab.statistics import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 from carom.scene.units.dimension import FORCE
 
-HOLDING = {False: 4, True: 2}  # fewest contacts that hold a sphere, without and with friction
+HOLDING = {False: 4, True: 2}  # smallest number of contacts that hold a sphere, without and with friction
 ALONG = 1 / sqrt(2)  # cos 45°
-SHORTEST = 3  # fewest bodies of a chain
+SHORTEST = 3  # smallest number of bodies of a chain
 SHELLS = 80
 RANGE = 4.0  # largest distance, in diameters of the largest body
 SPACINGS = 3.0  # largest distance in a dilute system, in mean distances of neighbours
-MOST_CENTRES = 50_000  # most centres in all frames together
+MOST_CENTRES = 50_000  # largest number of centres in all frames together
 MOST_CENTRES_OF_FRAME = 5_000
 NEAR = np.linspace(1.0, 1.25, 11)  # edges of the shells from which the value at contact is extrapolated
 

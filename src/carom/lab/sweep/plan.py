@@ -18,7 +18,7 @@ from carom.scene.data.body_sources import HeldBodies
 from carom.scene.load import Scene, scene_from_text
 
 SEED = "seed"
-_LONGEST_NAME = 120  # most characters of a run's name; an attempt's name is longer, and a file name may have 255
+_LONGEST_NAME = 120  # limit on the characters of a run's name; attempts have longer names, and a file name may have 255
 _FILE = re.compile(r"bodies\.\d+\.file")
 _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 

@@ -146,7 +146,7 @@ def _text(value: Any) -> str:
 
 
 FIGURES = ".png", ".svg", ".pdf"
-MOST_LINES = 12  # most lines in the legend
+MOST_LINES = 12  # largest number of lines in the legend
 _DECADES = 50.0  # largest ratio of an axis's ends for which the axis is linear
 
 Points = dict[float, list[float]]  # all values of y, by value of x

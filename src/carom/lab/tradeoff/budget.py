@@ -22,9 +22,9 @@ FASTEST = 0.5
 SHORT = 0.05  # s; a shorter run is repeated until its time is known to `PRECISION`
 PRECISION = 0.05  # relative precision of a median
 TIMINGS = 3  # timings of each setting that may be on the front
-MOST_TIMINGS = 60  # most timings of a short run
+MOST_TIMINGS = 60  # largest number of timings of a short run
 ALONE = 0.3  # relative noise that a single timing may have: 0.26 was measured for runs of some milliseconds
-CHEAPER = 3.0  # ratio of a setting's estimated cost to a rival's from which it is not timed; estimates err by less
+CHEAPER = 3.0  # a setting whose estimated cost is this many times a rival's is not timed; estimates err by less
 ROUNDING = 1e-11  # largest error that counts as rounding of a long run, which shorter steps do not reduce
 
 

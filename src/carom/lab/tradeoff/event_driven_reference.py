@@ -37,7 +37,7 @@ from carom.scene.matter import pair_coefficients
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import bodies_called
 
-MOST_BODIES = 20  # most bodies; Python examines the pairs one by one
+MOST_BODIES = 20  # largest number of bodies; Python examines the pairs one by one
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest accepted value
 SPEED_MARGIN = 1.5  # bound of a step's closing speed, relative to the largest value at its ends and middle
@@ -45,7 +45,7 @@ TOUCHING = 1e-12  # largest gap of a contact, relative to the sum of radii, if r
 ROUNDINGS = 8.0  # tolerance of contact, in units in the last place of speeds and positions
 LOWEST_FLIGHT = 10.0  # largest bounce of bodies that stay in contact, in multiples of the largest gap of a contact
 BISECTIONS = 30  # number of bisections of a step in which a force begins to press
-NEWTON = 12  # most iterations; each iteration squares the error
+NEWTON = 12  # largest number of iterations; each iteration squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
 LONGER = 1.25  # longest step of a twin, relative to the solution's: at order eight, its error is six times as large
 EPS = float(np.finfo(np.float64).eps)
@@ -355,7 +355,7 @@ class _Solver:
         return longest
 
     def _pressed(self, before: FloatArray, after: FloatArray) -> int | None:
-        """Return a pair that touches before a step and closes at its end faster than the step's error, or None."""
+        """Return a pair that touches before a step and closes after it, beyond the step's error; otherwise None."""
         for pair in np.flatnonzero((self._gaps(before) <= self._near) & (self._gaps(after) <= 0.0)):
             if self._closing(after, int(pair)) < -self._rate_noise(after, int(pair), self._tolerance):
                 return int(pair)

@@ -30,7 +30,7 @@ class SettingRuns:
     Parameters
     ----------
     threads
-        Number of threads for settings that do not set it; None for all cores.
+        Number of threads for settings without a number of their own; None for all cores.
     limit
         CPU time, in s, after which a run of another engine is stopped.
     """

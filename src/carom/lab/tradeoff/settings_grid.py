@@ -35,7 +35,7 @@ STEP = "step"  # a pseudo-key: a factor on all limits of the step that apply
 THREADS = "threads"  # number of threads of the kernels, which changes the cost but no bits
 TIMING = "contact.timing"
 DIRECT_UP_TO = 20  # largest number of bodies for which no tree is tried
-# most bodies for settings with an accuracy; with more, looking ahead takes longer than all other settings
+# largest number of bodies for settings with an accuracy; with more, looking ahead takes longer than all other settings
 MOST_ACCURATE = 100
 ACCURACIES = ("1e-4", "1e-8")
 METHOD = (  # keys and sections that change how a scene is computed

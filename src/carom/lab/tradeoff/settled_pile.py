@@ -31,7 +31,7 @@ class Settled(NamedTuple):
     density: float  # fraction of a box that the bodies fill; the box is twice as high as their centre of volume
     coordination: float  # contacts with other bodies, per body
     settled_energy: float  # J, kinetic energy and energy in the field
-    rest_time: float  # s, time from which the kinetic energy stays below `AT_REST`; the end if it never does
+    rest_time: float  # s, time from which the kinetic energy stays below `AT_REST`; the end of the run if it never does
 
 
 @dataclass(frozen=True, slots=True)

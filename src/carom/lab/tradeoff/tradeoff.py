@@ -64,10 +64,10 @@ TABLE = "tradeoff.csv"
 OVERLAY = "tradeoff.rrd"
 ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # round-off of a whole run, relative to its scale
-WORK = 3e7  # most steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
+WORK = 3e7  # limit on steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
 BODIES_PER_STEP = 30  # number of bodies whose step takes as long as a step without bodies
 DEARER = 30.0  # steps that a bounded setting may always make, in multiples of the steps of the scene as written
-CERTAIN = 6  # fewest costs whose range contains the median with 95 % probability
+CERTAIN = 6  # smallest number of costs whose range contains the median with 95 % probability
 WRITING = 1.0  # s between two writings of the document while short runs are timed
 MARGIN = 2.0  # smallest allowed ratio of the shortest compared step to the step of a refined reference
 

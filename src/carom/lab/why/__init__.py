@@ -34,9 +34,9 @@ if TYPE_CHECKING:
     from carom.scene.wording import Names
 
 
-MOST_CAUSES = 12  # most causes of a body that are printed; --json has all causes
+MOST_CAUSES = 12  # largest number of causes of a body that are printed; --json has all causes
 MOST_EDGES = 8
-MOST_TURNS = 3  # most printed turns of one body in a row
+MOST_TURNS = 3  # largest number of printed turns of one body in a row
 _ROUNDED = 1e-3  # smallest unexplained part of a velocity, relative to the largest change, that is more than rounding
 _SEEN = 0.005  # smallest share that is not printed as 0%
 _OF_ENGINE = "Impulses are the engine's contact forces times the time between frames; the rest of a velocity's change"

@@ -92,7 +92,7 @@ class Account:
     field_share: float = 0.0  # the part of `forces_share` that the uniform field of another engine gave
     causes: list[Cause] = field(default_factory=list)  # causes, the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m over the contacts that held the body in the last step
-    # by partner: the contact, and the step before it began
+    # the contact with each partner, and the step before that contact began
     _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)
     # J, energy lost in the step with each partner, without impacts
     _lost: dict[int, float] = field(default_factory=dict)

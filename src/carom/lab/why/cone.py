@@ -39,7 +39,7 @@ from scipy.sparse.csgraph import connected_components
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.lab.why.history import Step
 
-_ROUNDS = 16  # most bodies through which a share passes in one instant
+_ROUNDS = 16  # largest number of bodies through which a share passes in one instant
 NEGLIGIBLE = 1e-9  # smallest share that is passed on; smaller changes of a velocity are rounding
 
 

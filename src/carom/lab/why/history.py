@@ -51,7 +51,7 @@ IMPULSE = np.dtype(
 _AUDIT = 1e-12  # any bound makes the run audit its kicks; the bound itself is not used
 
 
-MOST_FRAMES = 2_000  # most frames that are read by default, in a few seconds
+MOST_FRAMES = 2_000  # largest number of frames that are read by default, in a few seconds
 MOST_BODY_FRAMES = 100_000
 _ROUNDED = 1e-5  # relative rounding of Σ |J| / m: contacts are recorded in float32, and some engines compute in float32
 
@@ -206,7 +206,7 @@ def recorded_history(recording: Recording, question: Question, start: float | No
     A step lasts from one exact state to the next. An impulse is a contact's force times the time between frames. A kick
     is the change of velocity that these impulses do not explain: it is due to forces, and to contacts that the engine
     does not report. A contact is an impact as long as it closes or separates faster than the kicks explain; otherwise
-    it holds.
+    it is a contact at rest.
 
     The history begins with the last exact state before ``start`` (s). By default, the history goes back by
     `MOST_FRAMES` frames, or by fewer if there are many bodies.

@@ -80,7 +80,7 @@ class Answer:
         return last.body if last.turns else last.by
 
 
-# most body steps (bodies times steps) that are run again by default; about a second for 500 bodies in a pile
+# limit on the body steps (bodies times steps) that are run again by default; about a second for 500 bodies in a pile
 MOST_BODY_STEPS = 100_000
 
 
