@@ -100,7 +100,7 @@ class ConstraintSystem(NamedTuple):
     enough: FloatArray  # (m,) uncorrected overlap: `ENOUGH`, or `ENOUGH_AS_NEEDED` where small changes suffice
     small_change: FloatArray  # (m,) m/s, change of a contact's velocities below which it needs no further iteration
     states: RecordArray[ContactStateRecord]  # (m,)
-    load_speed: FloatArray  # (m,) m/s, the largest acceleration in its island times the step; see `islands`
+    load_speed: FloatArray  # (m,) m/s, largest acceleration in the contact's island times the step; see `islands`
     search: RecordArray[SearchRecord]  # (m,)
     measured: RecordArray[MeasuredRecord]  # (m,)
     recorded: RecordArray[ImpulseRecord]  # (m,) impulses, or ROLLING_RECORDED; empty unless contacts are recorded

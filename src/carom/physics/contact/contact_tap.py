@@ -293,7 +293,7 @@ class ImpactStore:
 
 
 # The kernels below unpack their tuples once: to pass a tuple to an inlined function, Numba counts references to all
-# arrays in the tuple, in 400 ns a row.
+# arrays in the tuple, which takes 400 ns per row.
 
 
 @long_kernel
@@ -329,8 +329,8 @@ def _merge(
 ) -> int:
     """Write a row for each pair that was held, met in the drift, touches or exerted an impulse; return the row count.
 
-    ``impacts`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
-    fit are counted, and overwrite the last row.
+    ``impacts`` are rows of impacts during the drift, sorted by pair, with the hardest impact of each pair first. Rows
+    that do not fit are counted, and overwrite the last row.
     """
     held_pairs, held_place, held_contacts, terms = held
     pairs, place, contacts, states, recorded = resolved

@@ -13,7 +13,7 @@ import numpy as np
 from carom.physics.jit.decorators import inline
 from carom.scene.schema import Coefficients
 
-REACHED = 1e-9  # relative deviation from μ_k λ_n at which a contact slides; sums over iterations round by 1e-15
+REACHED = 1e-9  # relative deviation from μ_k λ_n up to which a contact slides; sums over iterations err by 1e-15
 
 
 @inline

@@ -48,7 +48,7 @@ def first_of(body: int, pairs: IntArray) -> int:
 
 
 def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
-    """Colour contacts greedily, in order, so that no two of a colour share a moving body.
+    """Colour contacts greedily, in order, so that no two contacts of a colour share a moving body.
 
     A sphere touches at most 12 spheres of its size, so 23 colours suffice for equal spheres. Contacts that do not fit
     into 64 colours have the colour `OVERFLOW`.

@@ -44,7 +44,7 @@ GUIDE = (  # fields of a solid in a drift; zeros if contacts do not move the sol
 
 @inline
 def guided_displacement(wall: Any, time: float) -> float:
-    """Return how far (m) contacts have moved a wall along its normal, a time (s) into a drift."""
+    """Return how far (m) contacts have moved a wall along its normal at a time (s) since the drift began."""
     if wall.guide_half == 0.0:
         return 0.0
     bent: float = wall.guide_bend * time * (wall.guide_half - 0.5 * time)
@@ -60,7 +60,7 @@ def _push(surface: Any, solid: int, time: float, change: float) -> None:
 
 @with_field(GUIDE[0], _push)
 def push_guided(surface: FloatArray, solid: int, time: float, change: float) -> None:
-    """Change the velocity of a guided wall along its normal (m/s), a time (s) into a drift."""
+    """Change the velocity of a guided wall along its normal (m/s) at a time (s) since the drift began."""
 
 
 def _straighten(surface: Any, solid: int) -> None:

@@ -48,7 +48,7 @@ class PresentStep:
     time: float = 0.0  # s, time at the end of the step
     dt: float = 0.0  # s
     drift: float = 0.0  # s, length of the present drift; some integrators have several in a step
-    kick: float = 0.0  # s, length of the kick before the drift; the first kick holds the contacts of the last step
+    kick: float = 0.0  # s, length of the kick before the drift; after the first kick, the last step's contacts are held
     booked: float = 0.0  # s, the part of the drift for which the work of the forces is already booked
     last_kick: float = 0.0  # s, length of the kick after the drift
     path: DampedPath = STRAIGHT
@@ -149,7 +149,7 @@ class OptionalPart:
         return NO_ENTRIES
 
     def lend(self, account: LedgerAccount) -> None:
-        """Let kernels that take many steps continue the entries of the ledger."""
+        """Let kernels that make many steps continue the entries of the ledger."""
 
     def settle(self, account: LedgerAccount) -> None:
         """Book the amounts that the kernels added after `lend`."""

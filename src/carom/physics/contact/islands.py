@@ -1,11 +1,11 @@
 """Load speeds: the largest speed with which a contact at rest may close in a step, whatever its direction.
 
 A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
-share its load, so the largest acceleration of the whole island decides: in the middle of a pile nothing accelerates,
-but the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands
-have no influence. The uniform field accelerates all bodies alike, so it is subtracted, unless some body or plane is
-fixed and does not fall. Without gravity, the speed is 0, and every contact is an impact. The rest speed of a contact,
-its restitution threshold, is at most its load speed (`loads`).
+share its load, so the largest acceleration in the whole island determines the load speed: in the middle of a pile,
+nothing accelerates, but the load is greatest. An island is a connected component of the collision graph without fixed
+ends; other islands have no influence. The uniform field accelerates all bodies alike, so it is subtracted, unless some
+body or plane is fixed and does not fall. Without gravity, the load speed is 0, and every contact is an impact. The rest
+speed of a contact, its restitution threshold, is at most its load speed (`loads`).
 
 Islands are found by union-find: each island is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
@@ -120,7 +120,7 @@ def mark_meshed(
     parent, counts
         (n + p,) and (n + p, 2), workspaces: the tree of each island, and the bodies and contacts at its root.
     enough
-        (m,), holds the values of the other contacts; see `ConstraintSystem`.
+        (m,), already has the values of the other contacts; see `ConstraintSystem`.
     """
     for k in range(len(active)):
         parent[active[k]] = active[k]

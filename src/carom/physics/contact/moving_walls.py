@@ -12,8 +12,8 @@ angular impulse Λ act on the wall, -λ_t and -Λ on the body. The ledger books 
 
     W = -λ_t·s - Λ·Ω
 
-on the body, which the ledger books as a separate entry. Only in scenes with such walls do records of contacts have the
-field s, and records of solids the fields Ω and c; without these fields, the functions below do nothing.
+on the body, which the ledger books as a separate entry. Records of contacts have the field s, and records of solids the
+fields Ω and c, only in scenes with such walls; without these fields, the functions below do nothing.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _slip_on_moving(surface: FloatArray, solid: int, time: float, point: Vector,
 
 @with_field(MOTION[0], _slip_on_moving)
 def slip_at_wall(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
-    """Return the slip u in m/s at a point (m) of a wall, a time (s) into a drift, given the slip without rotation."""
+    """Return the slip u (m/s) at a point (m) of a wall and a time (s) in the drift, given the slip without rotation."""
     return slip
 
 
@@ -114,7 +114,7 @@ def velocity_of_wall(surface: Any, solid: int, point: Vector) -> Vector:
 
 @inline
 def velocity_in_wall(surface: Any, solid: int, time: float, point: Vector) -> Vector:
-    """Return s in m/s at a point (m) of a wall, a time (s) into a drift."""
+    """Return s in m/s at a point (m) of a wall and a time (s) in the drift."""
     (x, y, z), (dx, dy, dz) = point, displacement_in_drift(surface, solid, time)
     return velocity_of_wall(surface, solid, (x - dx, y - dy, z - dz))
 

@@ -91,7 +91,7 @@ class NearPairs:
         self._lift = planes.largest_acceleration
         self._shear = world.shear
         self._guided = planes.guided
-        self._flow = world.flow(float(bodies.radius.max()))  # m/s², acceleration of contacts that a flow closes
+        self._flow = world.flow(float(bodies.radius.max()))  # m/s², acceleration with which the flow closes contacts
         self.rounding = 0.0  # m, rounding error of the coordinates
         self.loading = 1.0  # largest factor by which walls increase the acceleration that presses contacts together
 
@@ -99,7 +99,7 @@ class NearPairs:
         """Return the near pairs of a step of dt s, (m, 2), sorted."""
         position = self._bodies.position
         scale, skin = self.margins(dt)
-        if self._shear:  # the grid finds pairs that may be near their images
+        if self._shear:  # the grid finds pairs whose images may be near each other
             stretch = self._shear.stretch(0.0)
             pairs = self.search.pairs(self._shear.carried(position), stretch * scale, stretch * skin)
             near = np.empty(len(pairs), dtype=np.bool_)
@@ -239,7 +239,7 @@ def _add_facets(
     merged: IntArray,
     rows: tuple[int, int],
 ) -> int:
-    """Add the pairs of a body with facets of a wall within ``reach`` (m), sorted; return the row behind them.
+    """Add the pairs of a body with facets of a wall within ``reach`` (m), sorted; return the row after them.
 
     ``rows`` are the first free row and the end of the space; a result beyond the end means that the space is too small.
     """

@@ -31,11 +31,11 @@ from carom.physics.placement.neighbours import overlapping_pairs
 from carom.physics.vector import between, is_periodic, minimum_image, sizes
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # margins in smallest radii; in a heap they give 1.3 and 3 times as many pairs
-CALLS = 10  # calls for which a list is made
+CALLS = 10  # number of calls that a list should last
 # searches that a list must save at the present speed, since making a list costs as much as two searches
 LEAST_SEARCHES = 4
 LIST_ROUNDING = 1e-14  # error relative to the largest coordinate and distance; the test of a pair errs by about 1e-16
-OF_HALF_A_BOX = 0.9  # largest search distance and margin, in half box sizes; beyond, another image may be nearer
+OF_HALF_A_BOX = 0.9  # largest search distance and margin, in half box sizes; beyond it, another image may be nearer
 BODIES_PER_BLOCK = 2048  # bodies whose displacements are measured at a time: 48 KiB of positions
 PAIRS_PER_BLOCK = 4096  # pairs of the list that are tested at a time: 64 KiB
 MIN_BLOCKS_PER_TASK = 2

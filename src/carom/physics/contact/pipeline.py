@@ -136,7 +136,7 @@ class ContactPipeline:
 
     @property
     def turns_of_impacts(self) -> ImpactTurns | None:
-        """The angular impulses of the impacts of the last step; None if it had none."""
+        """The angular impulses of the impacts of the last step; None if it had no impacts."""
         return ImpactTurns.of(self.impacts, self.solver, self.bodies)
 
     @property
@@ -206,7 +206,7 @@ class ContactPipeline:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing touched in the last step, and nothing is held at the start of the next one."""
+        """Whether nothing touched in the last step, and nothing is held at the start of the next step."""
         touches = len(self.contacts) or self.statistics.contacts or len(self.impulses.pairs)
         return not (touches or (self.lasts and self.presses) or (self.hooks.is_busy and self._is_busy))
 
@@ -255,7 +255,7 @@ class ContactPipeline:
 
     @property
     def last_kick(self) -> float:
-        """Length in s of the kick in which the contacts were last held; 0 if none were."""
+        """Length in s of the kick in which the contacts were last held; 0 if none were held."""
         return self.impulses.kick
 
     def add_steady_steps(self, kick: float, dt: float, sweeps: int) -> None:
@@ -288,7 +288,7 @@ class ContactPipeline:
             self.torques.write(step.dt)
 
     def find(self, step: PresentStep) -> None:
-        """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
+        """Find the contacts at the present positions, colour them, and correct the overlaps of resting contacts."""
         for arrive in self.hooks.arrive:
             arrive(step)
         if self.world.meets_in_drifts:

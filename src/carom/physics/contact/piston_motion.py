@@ -1,7 +1,8 @@
 """Pistons: planes, each with a mass M, that move along their normals N only, under constant loads and gravity.
 
-Contacts move pistons like any guided wall (`guided_walls`). Kicks change the velocity u of a piston by a h, with
-a = F/M + g·N. Drifts change its displacement s along N by r(dt), which contains the impacts at their own times.
+Contacts move pistons like any other guided wall (`guided_walls`). A kick of length h changes the velocity u of a piston
+by a·h, with the acceleration a = F/M + g·N. A drift changes its displacement s along N by r(dt), which includes the
+impacts at their own times.
 
 The bodies give the piston the energy ½ M u² - M a s, whose change the ledger books in the entry for walls. A load cell
 on the piston's face would measure the impulse of the bodies on it, which is

@@ -58,7 +58,7 @@ class ImpactTurns:
 
     @classmethod
     def of(cls, impacts: Impacts, solver: ContactSolver, bodies: Bodies) -> ImpactTurns | None:
-        """Add up the impacts of the drift and those that the solver resolved after it; None without impacts."""
+        """Add up the impacts of the drift and the impacts that the solver resolved after it; None without impacts."""
         late = solver.approach > solver.rest_speed
         late &= columns(solver.recorded, ("normal_impulse",))[:, 0] > 0.0
         early = impacts.approach > impacts.rest_speed

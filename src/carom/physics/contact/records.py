@@ -178,7 +178,7 @@ class PushedBodyRecord(Protocol):
 
 
 class LoadRecord(Protocol):
-    """The impulses of contacts on a body in the last kick, divided by its mass and the kick."""
+    """The impulses of contacts on a body in the last kick, divided by its mass and the length of the kick."""
 
     x: float  # m/s², acceleration Σ J/(m h) by the body's contacts
     y: float
@@ -251,7 +251,7 @@ class PieceResultsRecord(Protocol):
     friction_loss: float
     stabilisation_gain: float
     any_rests: bool  # whether any contact is at rest
-    is_exact: bool  # whether conjugate gradients continue here when they leave meshed islands
+    is_exact: bool  # whether conjugate gradients continue in this piece when they leave meshed islands
 
 
 class BlockSumsRecord(Protocol):
@@ -276,23 +276,23 @@ class SettingsRecord(Protocol):
 
     independent: int  # number of leading colours whose contacts share no moving body
     iteration: int  # number of iterations before the present one
-    dt: float  # s, step for which the rest speeds were found; before a drift, the previous one
+    dt: float  # s, step for which the rest speeds were found; before a drift, the previous step
     drift: float  # s, length of the coming drift; 0 after the last kick
     booked: float  # s, the part of the drift for which the work of the forces is already booked
     bias_rate: float  # 1/s, Baumgarte's separation speed per overlap
     alpha: float  # α of the line search and of conjugate gradients
-    beta: float  # β of conjugate gradients, the weight of the last direction in the next one
+    beta: float  # β of conjugate gradients, the weight of the last direction in the next direction
     negligible: float  # m/s; a slower approach is not a violation
     tolerance: float  # residual at which iterations end, in multiples of `tolerated`
     fastest: float  # m/s, fastest approach before the impulses of impacts
-    any_rests: bool  # whether any contact was at rest before these impulses
+    any_rests: bool  # whether any contact was at rest before the impulses of impacts
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
     solved: float  # a round of conjugate gradients ends when r·z falls to this fraction of its first value
     meshed_iterations: int  # most iterations of conjugate gradients in a round with meshed islands; 0 for no limit
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
-    spares_meshed: bool  # whether those further iterations ignore contacts of meshed islands
+    spares_meshed: bool  # whether iterations after conjugate gradients ignore contacts of meshed islands
     ignores_meshed: bool  # whether contacts of meshed islands are ignored now
     slides_meshed: bool  # whether contacts of meshed islands that have slid keep sliding in all iterations
     is_lenient: bool  # whether contacts of meshed islands may close at up to their load speed

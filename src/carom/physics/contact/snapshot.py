@@ -40,7 +40,7 @@ class ContactSnapshot:
     """The contacts of a step, each pair once, in the order of the graph."""
 
     graph: CollisionGraph
-    approach: FloatArray  # (m,) m/s, closing speed before the impulses; if a pair has several, the largest
+    approach: FloatArray  # (m,) m/s, largest closing speed of each pair before the impulses
     rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
     impacts: int  # number of contacts that closed faster than `rest_speed`; a pair may count more than once
     _order: IntArray | None = None  # (l,) order of contacts and impacts by pair; None without impacts
@@ -52,7 +52,7 @@ class ContactSnapshot:
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
     def joined(self, others: CollisionGraph, inverse_mass: FloatArray) -> tuple[ContactSnapshot, IntArray]:
-        """Add resting contacts of other pairs; return each contact's index in the solver, -1 for the added ones."""
+        """Add resting contacts of other pairs; return each contact's index in the solver, -1 for added contacts."""
         graph, m = self.graph, len(self.graph)
         pairs = np.concatenate((graph.pairs, others.pairs))
         order = np.lexsort((pairs[:, 1], pairs[:, 0]))

@@ -195,7 +195,7 @@ def solids_of(scene: Scene) -> HalfSpaces:
 
 
 def _with_facets(walls: Records, facets: Mapping[int, Facets]) -> Records:
-    """Return the records of solids, followed by those of all facets and of the trees over them.
+    """Return the records of solids, followed by the records of all facets and of the trees over the facets.
 
     A wall of facets is a plane infinitely far away, with the limits of its tree.
     """

@@ -4,7 +4,7 @@ Kernels refer to a solid by its number and use its tangent plane at the point ne
 alone, ``surface`` contains their normals and ``offset`` their distances from the origin. With walls, ``surface``
 contains a record for each solid. The type of the records names the functions of all shapes (`WallShape`), and Numba
 selects the functions by that type when it compiles a kernel. Kernels of scenes without walls therefore do not contain
-them.
+these functions.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The time at which a contact stops sliding, or a body rolling, so that a step can end there.
+"""The time at which a contact stops sliding, or a body stops rolling, so that a step can end there.
 
 Friction ends at that moment: the acceleration of the bodies jumps by Δa. A step of length h that passes this moment at
-its fraction f moves the bodies too far by ½ Δa h² min(f, 1 - f)². A comparison with other steps does not show this
-error if they end at the same time. The prediction is exact under constant forces. Otherwise its error is of second
+a fraction f of the step moves the bodies too far by ½ Δa h² min(f, 1 - f)². A comparison with other steps does not show
+this error if they end at the same time. The prediction is exact under constant forces. Otherwise its error is of second
 order in the step, and the error of a step that ends at the predicted time is of fourth order.
 """
 

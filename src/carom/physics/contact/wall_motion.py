@@ -1,4 +1,4 @@
-"""Walls in a step: their motion, their work on the bodies, and the limits that they set to the step."""
+"""Walls in a step: their motion, their work on the bodies, and the limits that they set for the step."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 NO_VELOCITIES: FloatArray = np.zeros((0, 3))
 # rad, largest turn of a contact's normal in a step if walls alone press. A body with the tangential velocity v moves
-# along a chord. The body advances by the angle arcsin(v dt/f). This angle is too large by a sixth of its square: 7 ×
-# 10⁻⁵ of the path.
+# along a chord, and so by the angle arcsin(v dt/f). The relative error of this angle is a sixth of its square, 7 × 10⁻⁵
+# of the path.
 LARGEST_TURN = 0.02
 
 
@@ -141,7 +141,7 @@ class MovingWalls(OptionalPart):
             self._work += self._translation.settle()
 
     def _add(self, impulses: RecordArray[Any]) -> None:
-        """Add the work in the present contacts by impulses, (m,)."""
+        """Add the work that ``impulses``, (m,), do at the present contacts."""
         solver = self._contacts.solver
         touching = solver.system.pairs, cast(RecordArray[Any], solver.contacts), impulses
         if self._solids.rotates:

@@ -84,7 +84,7 @@ class HierarchicalGrid:
 
 
 def _buffer_for(pairs: int) -> IntArray:
-    """Return a buffer for 1.5 times as many pairs. PhysicsError if there is no memory for it."""
+    """Return a buffer for 1.5 times as many pairs. Raises PhysicsError if there is no memory for it."""
     try:
         return np.empty((2, 3 * pairs // 2, 2), dtype=np.int64)
     except MemoryError as error:

@@ -1,6 +1,6 @@
 """An impact within a drift, at its exact time: impulse, friction, and its row of the log.
 
-The velocity at a time τ is v + a (τ - h), where h is the kick before the drift. With these velocities energies are
+The velocity at a time τ is v + a (τ - h), where h is the kick before the drift. With these velocities, energies are
 exact: if the impulse J removes -J·(v(τ) + J/2m), the kicks before and after the drift do exactly gravity's work along
 the bent path. With a constant acceleration, a rebound conserves its energy to the last bits. If this acceleration is
 the uniform field, the bodies meet at the point where their parabolas meet, so the time and the outcome of the impact

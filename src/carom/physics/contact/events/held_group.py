@@ -1,10 +1,10 @@
 """Contacts that are held for the remaining drift, because their impacts do not end.
 
-A light ball between a heavy one and a floor rattles: to stop the heavy ball, it needs about as many impacts as the
-ratio of the masses, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither
-close nor rebound. A body that has had as many impacts as a drift allows is exhausted, and its contacts are set to this
-limit at once. From then on, each impact involves a group: the pair, all bodies that touch an exhausted body of the
-pair, all bodies that touch an exhausted body among these, and so on. For each contact of the group,
+A light ball between a heavy ball and a floor rattles: to stop the heavy ball, it needs about as many impacts as the
+ratio of the masses. With e < 1, there may be infinitely many impacts in a finite time. In this limit, the contacts
+neither close nor rebound. A body that has had as many impacts as a drift allows is exhausted, and its contacts are set
+to this limit at once. From then on, each impact involves a group: the pair, all bodies that touch an exhausted body of
+the pair, all bodies that touch an exhausted body among these, and so on. For each contact of the group,
 
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
@@ -16,10 +16,10 @@ are held doubles, until it covers the whole drift.
 
 Where no contact of the group dissipates (e = 1), the impulses are twice the impulses that end the closing at the
 present time. These impulses reverse the closing component of √m v instead of removing it, so the energy is conserved. A
-light ball between a heavy ball and a wall then turns the heavy ball round as its remaining impacts would. The heavy
-ball turns too early, by twice the time that the heavy ball needs to cover the remaining gap. As soon as an impact has
-acted on several contacts, the bodies continue with single impacts. A body that is exhausted again and again, such as a
-ball between two walls that nearly touch it, stays in its place, closes no contact, and rebounds at the end of the
+light ball between a heavy ball and a wall then makes the heavy ball turn back, as its remaining impacts would. The
+heavy ball turns too early, by twice the time that the heavy ball needs to cover the remaining gap. As soon as an impact
+has acted on several contacts, the bodies continue with single impacts. A body that is exhausted again and again, such
+as a ball between two walls that nearly touch it, stays in its place, closes no contact, and rebounds at the end of the
 drift.
 
 Rejected: impulses with e = 0 one by one, which are as many as the impacts; leaving an exhausted body out of the drift,

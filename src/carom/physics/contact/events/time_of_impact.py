@@ -15,13 +15,13 @@ for
 
     2 g / (c + √(c² + 2 |b| g))
 
-Steps of this length converge to the first root from below, at the rate of Newton's method. Under drag with the rate λ
+Steps of this length converge to the first root from below, at the rate of Newton's method. Under drag with the rate λ,
 the separation is d + w t φ₁ + b t² φ₂, with φ₁ and φ₂ of λ t (`carom.physics.exponential`), and its second derivative
 is (b - λ w) e^{-λt}, whose magnitude only shrinks.
 
-A drift moves bodies with the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick
-before the drift; under drag a - λ v takes the place of a. A meeting is an impact only if the bodies then close faster
-than a given speed.
+A drift moves bodies with the velocities of the middle of the step. At τ, the velocity is v + a (τ - h), where h is the
+kick before the drift; under drag, a - λ v takes the place of a. A meeting is an impact only if the bodies then close
+faster than a given speed.
 """
 
 from __future__ import annotations

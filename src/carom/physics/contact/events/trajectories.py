@@ -1,6 +1,6 @@
 """Trajectories of the bodies through a drift: straight lines whose directions change at impacts.
 
-Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt, the parabola lags
+Under a uniform acceleration g, the true path is a parabola. At the time s of a drift of length dt, the parabola lags
 behind the straight line by ½ g s (dt - s), whatever impacts happened before. Stored positions are on the straight
 lines. Where bodies meet, `lag` corrects their positions, so the times of impacts in a uniform field are exact. Contacts
 at rest hold their bodies with one impulse for the whole drift, so the path of a held body is straight.

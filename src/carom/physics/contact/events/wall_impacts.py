@@ -184,7 +184,7 @@ def _time_to_wall(
 
 @inner
 def _until_path(length: float, speed: float, bend: float) -> float:
-    """Return the shortest time (s) in which a body can cover a path of a length in m."""
+    """Return the shortest time (s) in which a body can cover a path of a given length (m)."""
     if not length > 0.0:
         return 0.0
     return float(2.0 * length / (speed + np.sqrt(speed * speed + 2.0 * bend * length)))

@@ -38,7 +38,7 @@ class Inlets:
         self._at, self._interval, self._until = np.array(rows).T  # s; if an interval is 0, all bodies enter together
         self._units = scene.unit_system
         self.first_slots = np.stack([self._at, np.zeros(len(rows))], axis=1)
-        self.slots = self.first_slots.copy()  # (k, 2), origin in s, and number of slots taken since then
+        self.slots = self.first_slots.copy()  # (k, 2), origin in s, and number of slots taken since the origin
 
     def __len__(self) -> int:
         return len(self._at)

@@ -142,7 +142,7 @@ class PassingBodies(OptionalPart):
         return pairs
 
     def book(self, account: LedgerAccount) -> None:
-        """Book what the bodies that entered or left as the step began have carried."""
+        """Book the energies and momenta of the bodies that entered or left as the step began."""
         for energy, impulse, angular_impulse in self._exchanged:
             account.exchange(ENTRY, -energy, impulse, angular_impulse)
         self._exchanged.clear()

@@ -51,7 +51,7 @@ def _refuse_late_release(scene: Scene, index: int, group: BodyGroup) -> None:
 
 
 def _refuse_too_high_rate(scene: Scene, index: int, group: BodyGroup) -> None:
-    """Refuse a rate that even a densely packed region could not supply by its velocity and the field."""
+    """Refuse a rate that even a densely packed region could not sustain, given its velocity and the field."""
     release, region = group.release, group.region
     if release is None or release.rate is None or region is None or group.count == 1:
         return

@@ -19,14 +19,14 @@ APART = 2.5  # distance between waiting bodies in largest radii; too far for a s
 def waiting_places(position: FloatArray, radius: FloatArray, domain: Domain, solids: HalfSpaces) -> FloatArray:
     """Return a place for each body to wait, (n, 3) m: a lattice beside the places where bodies enter.
 
-    Contacts of waiting bodies are left out, wherever the bodies are. At these places a search does not find such
-    contacts in the first place, and few bodies are behind a plane, where each would be examined in every step.
+    Contacts of waiting bodies are left out, wherever the bodies are. At these places, a search does not even find such
+    contacts, and few bodies are behind a plane, where each would be examined in every step.
     """
     spacing = APART * float(radius.max())
     low, high = position.min(axis=0) - spacing, position.max(axis=0) + spacing
     middle, reach = 0.5 * (low + high), high - low
     beside = [axis for axis in range(3) if axis not in domain.repeating]
-    ways = [(axis, sign) for axis in reversed(beside) for sign in (1.0, -1.0)]  # first try above
+    ways = [(axis, sign) for axis in reversed(beside) for sign in (1.0, -1.0)]  # above is tried first
 
     def base(axis: int, sign: float) -> FloatArray:
         found = np.array(middle)

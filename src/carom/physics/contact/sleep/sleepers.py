@@ -124,7 +124,7 @@ class Sleepers(OptionalPart):
         self.contacts = NO_SLEEPERS
         self._fell_asleep = False  # whether any contact fell asleep at the end of the last step
         self._slept = NO_SLEEPERS  # contacts that slept in the last step
-        self._first_kick = 0.0  # s, first kick of the step
+        self._first_kick = 0.0  # s, length of the first kick of the step
         self._lost = NO_ENTRIES  # J, losses of the contacts that woke in this step or fell asleep after it
 
     def is_busy(self) -> bool:
@@ -198,7 +198,7 @@ class Sleepers(OptionalPart):
             self._all_contacts.statistics = self._all_contacts.statistics.plus(self._slept.statistics)
 
     def end(self, step: PresentStep) -> None:
-        """Put islands that have been slow for long enough to sleep."""
+        """Put to sleep the islands that have been slow for long enough."""
         contacts = self._all_contacts
         lost = self._fall_asleep(contacts.contacts.pairs, contacts.impulses, step.dt)
         self._fell_asleep = len(lost) > 0

@@ -1,9 +1,9 @@
 """The energy audit of resting contacts, and a bound on the energy that their impulses may add.
 
-An impulse J removes -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick there
-is a second term. In the drift, the forces do work on velocities that include J, but half of that work was already
-booked with the first kick, for velocities without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the
-impulse:
+An impulse J removes -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick, a
+second term is added. The work of the forces in the drift depends on velocities that include J, but half of this work
+was already booked with the first kick, at velocities without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked
+with the impulse:
 
     lost_n = -λ_n ((v_n + v_n')/2 - Δv_n),    lost_t = -λ_t·((u + u')/2 - Δu)        Δv = 0 after the last kick
 
@@ -14,14 +14,15 @@ at the contacts from v to v' = v + A λ. The solution minimises
 
     f(λ) = λ·(v + c) + ½ λ·A λ,
 
-which is 0 for λ = 0, and negative for impulses that remove energy. Iterations lower f, but they start from the
-impulses of the previous kick, which may be far too large. Along θ λ, the minimum is at θ = -λ·(v + c) / λ·(v' - v). If
-θ < 1, the impulses of the island are multiplied by θ. Then f ≤ 0, and contacts gain no energy over a whole step, since
-its second kick starts from the impulses of the first. An island is a connected component of the collision graph without
-fixed bodies and planes.
+which is 0 for λ = 0, and negative for impulses that remove energy. Iterations lower f, but they start from the impulses
+of the previous kick, which may be far too large. Along θ λ, the minimum is at θ = -λ·(v + c) / λ·(v' - v). If θ < 1,
+the impulses of the island are multiplied by θ. Then f ≤ 0, and contacts gain no energy over a whole step, since the
+second kick starts from the impulses of the first kick. An island is a connected component of the collision graph
+without fixed bodies and planes.
 
-θ < 1 is rare, so the audit computes both sums in θ on the way (`measures`), and is repeated if impulses were scaled. In
-a falling heap of 1000 spheres, one audit in twenty is repeated; a separate pass for the sums took 5 % of each step.
+θ < 1 is rare, so the audit computes both sums in θ along the way (`measures`), and is repeated only if impulses were
+scaled. In a falling heap of 1000 spheres, one audit in twenty is repeated; a separate pass for the sums took 5 % of
+each step.
 """
 
 from __future__ import annotations

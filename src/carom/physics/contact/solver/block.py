@@ -28,7 +28,7 @@ from carom.physics.jit.vectors import (
     spread,
 )
 
-VELOCITY, CHANGE = range(2)  # names of the lines of a body's record
+VELOCITY, CHANGE = range(2)  # numbers of the cache lines of a body's record
 
 
 @inline
@@ -46,7 +46,7 @@ class Block:
     code
         The instruction, whose argument is ``system``.
     first
-        Index of the first contact, a value in the code.
+        Index of the first contact, as a value in the generated code.
     """
 
     def __init__(self, code: Code, first: Any) -> None:

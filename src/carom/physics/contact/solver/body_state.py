@@ -271,11 +271,11 @@ def slip(
 def half_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float, drift: float
 ) -> Vector:
-    """Return the slip q (m/s) that the turn of the normal in the first half of a drift (s) ends, given v_t.
+    """Return the slip q (m/s) that ends in the first half of a drift (s) because the normal turns, given v_t.
 
-    The slip of bodies that drift changes by -w × δn, with w = ρ_i ω_i + ρ_j ω_j and the turn δn = v_t dt/d of the
-    normal. The tangential component of this change is -w_n n × δn. If the turn or the spin is too large for this
-    correction, q is 0.
+    In a drift, the slip changes by -w × δn, where w = ρ_i ω_i + ρ_j ω_j, and the normal turns by δn = v_t dt/d. The
+    tangential component of this change is -w_n n × δn. If the turn or the spin is too large for this correction, q is
+    0.
     """
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     about = (ri * a.wx + rj * b.wx) * nx + (ri * a.wy + rj * b.wy) * ny + (ri * a.wz + rj * b.wz) * nz

@@ -108,7 +108,7 @@ class ContactSolver:
         self._islands = Islands(len(bodies.ends.velocity), team)
         # (n + p, 3) m/s², accelerations that press contacts together
         self.pressing = np.zeros_like(bodies.ends.acceleration) if planes.press_alone else bodies.ends.acceleration
-        self.turning = 0.0  # 1/s, fastest turning of a normal; known only if walls alone press
+        self.turning = 0.0  # 1/s, largest turning rate of a normal; computed only if walls alone press
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
         self._loaded = self._active  # bodies and planes that may carry a load
@@ -251,7 +251,7 @@ class ContactSolver:
         self._team.divide(len(self._system.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
 
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
-        """Compute load speeds and rest speeds (see `Islands`, `loads`); return whether a load speed is not 0."""
+        """Compute load speeds and rest speeds (see `Islands`, `loads`); return whether any load speed is not 0."""
         ends, system, team, m = self._bodies.ends, self._system, self._team, len(self._system.pairs)
         self.find_pressing()
         accelerated = (self.pressing, ends.inverse_mass, field, dt)
@@ -273,7 +273,7 @@ class ContactSolver:
             self.turning = add_load_of_walls(*near, lift, self.pressing)
 
     def correct_positions(self, max_iterations: int) -> FloatArray:
-        """Correct the overlaps of resting contacts; return how far they move the guided walls, (k,) m."""
+        """Correct the overlaps of resting contacts; return the displacements of the guided walls, (k,) m."""
         system, counts = self._system, self.counts
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
@@ -307,7 +307,7 @@ class ContactSolver:
         bias_rate
             1/s, Baumgarte's separation speed per overlap; 0 for none.
         max_iterations
-            Limit of the iterations if they do not converge before.
+            Most iterations; fewer if they converge.
         impacts_only
             Whether to skip resting contacts.
         """
@@ -375,9 +375,9 @@ class ContactSolver:
         bias_rate
             1/s, Baumgarte's separation speed per overlap.
         max_iterations
-            Limit of the iterations if they do not converge before.
+            Most iterations; fewer if they converge.
         against
-            (n + p, 3) m/s², accelerations against which contacts hold (default: the bodies' accelerations).
+            (n + p, 3) m/s², accelerations that the contacts counteract (default: the bodies' accelerations).
         """
         settings = self._settings
         settings["dt"], settings["booked"], settings["drift"] = dt, booked, drift

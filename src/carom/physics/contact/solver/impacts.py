@@ -13,8 +13,8 @@ coefficient at the depth δ is
 
     e_δ² = e² + (1 - e²) · 2 a_n δ / v_n²,    a_n = (a_i - a_j)·n, if gravity presses the pair together
 
-With e in place of e_δ, the energy of each rebound is wrong by the change of the potential over δ, an error of first
-order in the step.
+With e instead of e_δ, the energy of each rebound would be wrong by the change of the potential over δ, an error of
+first order in the step.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.sheared_box import relative_to_image
 from carom.physics.vector import between
 
-CONVERGED = 1e-9  # iterations end when the largest change of a velocity, relative to the first iteration, is this
+CONVERGED = 1e-9  # iterations end at this largest velocity change, relative to the change in the first iteration
 
 
 @inner
@@ -157,7 +157,7 @@ def check_closing(
     limits: tuple[float, float],
     closing: BoolArray,
 ) -> None:
-    """Set ``closing`` if one of the contacts [lo, hi) closes faster than its load speed and its tolerance.
+    """Set ``closing`` if one of the contacts [lo, hi) closes faster than both its load speed and its tolerance.
 
     Open gaps are not counted: they may close in the next step.
 

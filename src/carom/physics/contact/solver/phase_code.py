@@ -108,7 +108,7 @@ _kinds: dict[tuple[Any, ...], int] = {}
 
 
 def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> Any:
-    """Return the address of a kernel's code, looked up only once: Numba takes milliseconds, as long as a short run."""
+    """Return the address of a kernel's code, looked up only once: Numba takes milliseconds, as a short run does."""
     if (kernel, kind) not in _addresses:
         _addresses[kernel, kind] = code_for(kernel, system)
     return _addresses[kernel, kind]

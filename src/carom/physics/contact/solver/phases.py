@@ -122,7 +122,7 @@ def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> 
 
 @leading(inline)
 def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> int:
-    """Resolve impacts until an iteration changes velocities by less than `CONVERGED`."""
+    """Resolve impacts until an iteration changes velocities by less than `CONVERGED` times the first change."""
     iterations, first_change, change = 0, 0.0, 1.0
     while iterations < max_iterations and (iterations == 0 or change > CONVERGED * first_change):
         phases.settings[0].iteration = iterations
@@ -258,7 +258,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         if pull > push or push > GROWN * largest > 0.0:
             break
     settings.ignores_meshed = False
-    if push > GROWN * largest > 0.0:  # the step has no solution: start again, without the change
+    if push > GROWN * largest > 0.0:  # the step has no solution: discard the change
         settings.iteration = 0
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     _share_colours(board, phases, PROJECT)

@@ -12,9 +12,9 @@ This method is `contact.stabilisation = "split"`. With `"baumgarte"`, the pipeli
 Only resting contacts are pushed. Bodies in an impact separate by their rebound, and pushing them would take tangential
 energy from a gas at every collision.
 
-The ledger books the change of the energy. For the scaling, the booked energy is exact, at the velocities after the
-first kick. For the potential, the booked energy is the work against gravity at the new positions, whose error is (δ/d)²
-times the pair's potential.
+The ledger books the change of the energy. The change by the scaling is exact, at the velocities after the first kick.
+The change of the potential is booked as the work against gravity at the new positions, with an error of (δ/d)² times
+the pair's potential.
 
 Rejected: the mean of the forces at the start and the end of the step, although its error is of the next order. In the
 collapse of 500 boulders, both have errors of 10⁻⁶ of the energy scale.
@@ -294,7 +294,7 @@ def _correct_one_by_one(system: ConstraintSystem, first: int, again: float) -> f
 
 @instruction(_correct_one_by_one, returns="float64", first="intp", again="float64")
 def correct_block(code: Code, system: Any, first: Any, again: Any) -> Any:
-    """Push the contacts between bodies of a block apart once; return 1 if an overlap needs another iteration.
+    """Push apart, once, the contacts between bodies in a block; return 1 if an overlap needs another iteration.
 
     If no overlap does, return ``again``. Contacts with planes are skipped.
     """
@@ -374,7 +374,7 @@ class _Correction:
         return pushed
 
     def _restitution(self, approach: Lanes, load_speed: Lanes) -> Lanes:
-        """Return the restitution of each contact by the law."""
+        """Return the coefficient of restitution that the law gives each contact."""
         block, coefficients = self._block, []
         kinds = [block.kind_of("materials").dtype, "float64", "float64"]
         for k, material in enumerate(block.materials()):
