@@ -339,7 +339,7 @@ def run_command() -> None:
 
 
 def _refuse_usage(error: Any) -> int:
-    """Print a mistake in the arguments in one line, or the help of a command without any; return the exit code."""
+    """Print a mistake in the arguments in one line, or the help if there are no arguments; return the exit code."""
     from carom.terminal.printing import say
 
     if error.ctx is None or type(error).__name__ == "NoArgsIsHelpError":

@@ -283,7 +283,7 @@ class _Watch(Watch):
         return min(steps, max(1.0, self._guard.most - step)), min(until, due)
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Copy the state before a step; integrators with a solution within steps call this after the step."""
+        """Copy the state before a step; an integrator that knows the states within a step calls this after it."""
         if self._space.has_solution:
             self._began = before
             self.see_contacts(time)

@@ -43,12 +43,12 @@ LOOK_AFTER = LASTS + 1.0  # steps after an interval that are read for the loads 
 RETURNS = 2.0  # steps; a bounce that would take longer (2 v/a) must not end at rest within a step
 SHARED = 5e-2  # fraction of the touching bodies' kinetic energy by which two runs may differ in how they share impulses
 TURNED = 0.01  # relative change (or rad), in a step, of a torque that resists rolling; its error is of first order
-FAST = 10.0  # factor by which an impact of a supported body must exceed the uncertainty of its speed
+FAST = 10.0  # factor by which the speed of a supported body's impact must exceed its uncertainty
 SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
 
 MOST_IMPACTS = 3  # largest number of impacts that a message lists
 
-Pair = tuple[int, int]  # numbers of two bodies; numbers from n on are planes and walls
+Pair = tuple[int, int]  # numbers of two bodies; numbers ≥ n are planes and walls
 Impacts = tuple[tuple[str, float], ...]  # names of both ends, and closing speed in m/s
 
 

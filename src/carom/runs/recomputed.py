@@ -143,7 +143,7 @@ def snapshots(
 def _present(
     frame: Frame, body: IntArray, mass: FloatArray, radius: FloatArray, others: dict[str, Any]
 ) -> tuple[IntArray, FloatArray, FloatArray, dict[str, Any]]:
-    """Return the values of the bodies that do not wait to enter in a frame."""
+    """Return the values of the bodies that are not waiting to enter at the time of a frame."""
     if (waits := frame.waits) is None:
         return body, mass, radius, others
     there = ~waits[body]

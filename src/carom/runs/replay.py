@@ -232,7 +232,7 @@ def _run_again(
 class _Again:
     """Records the window once more: from frame 0 on, or else without the first frame of the window.
 
-    A window that begins later than the run continues from the recorded values of its first frame, as a resumed run
+    If a window begins later than the run, it continues from the recorded values of its first frame, as a resumed run
     does.
     """
 

@@ -64,7 +64,7 @@ class Moved:
     observable: str  # "position", "velocity", "spin", "overlap", or the name of a ledger entry
     begin: float  # s, time after which the difference appeared
     time: float  # s, time by which the difference had appeared
-    bodies: tuple[int, ...]  # numbers of bodies and, from n on, planes; empty for a ledger entry
+    bodies: tuple[int, ...]  # numbers of bodies and, if ≥ n, planes; empty for a ledger entry
     names: str  # names of these bodies; empty for a ledger entry
     run: float  # value in the run, in SI units; 0 for a distance
     refined: float  # value with shorter steps

@@ -37,7 +37,7 @@ def rerun(
 ) -> Window:
     """Run a recording again from its last checkpoint before a time (s), for data that the file does not hold.
 
-    The result offers bodies, contacts, impacts and trajectories as a `Recording` does, but computed, in float64. A
+    Like a `Recording`, the result offers bodies, contacts, impacts and trajectories, but computes them, in float64. A
     rerun only moves forward: request later times after earlier ones.
 
     Parameters

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ROWS = 12  # number of rows in the table of the growing difference
 KEYS = 50  # largest number of differing scene keys that are printed; --json has all
 TURNED = 1e-3  # rad, smallest angle between two forces that is printed
-LONGEST_VALUE = 60  # characters of a printed value of a scene key; two fit into a row of a wide terminal
+LONGEST_VALUE = 60  # largest number of characters of a printed value; two values fit into a row of a wide terminal
 
 _FIRST = "A recording (.rrd), or the zip of `carom report`."
 

@@ -95,7 +95,7 @@ class Impact:
     """One recorded impact."""
 
     number: int  # number of the impact in its own run, from 1 on
-    bodies: tuple[int, int]  # numbers from n on are planes and walls
+    bodies: tuple[int, int]  # numbers ≥ n are planes and walls
     time: float  # s
     approach_speed: float  # m/s
     normal_impulse: float  # N s

@@ -349,7 +349,7 @@ def _rms(vectors: FloatArray) -> float:
 class FirstContact:
     """A contact of the first bodies that differ."""
 
-    ends: tuple[int, int]  # numbers from n on are planes
+    ends: tuple[int, int]  # numbers ≥ n are planes
     forces: tuple[float | None, float | None]  # N, forces along the normal; None if a run lacks this contact
     friction: tuple[float | None, float | None]  # N, magnitudes of friction
     turned: float  # rad, angle between the directions of friction; 0 if a direction is unknown

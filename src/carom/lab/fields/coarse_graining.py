@@ -44,7 +44,7 @@ class Grid:
         return self.cell * self.shape
 
     def centres(self, axis: int) -> FloatArray:
-        """Return the coordinates (m) of the centres of the cells along an axis."""
+        """Return the coordinates (m) of the cells' centres along an axis."""
         return np.asarray(self.origin[axis] + self.cell[axis] * (np.arange(self.shape[axis]) + 0.5))
 
     def shift(self, time: FloatArray) -> FloatArray:
@@ -172,7 +172,7 @@ class BodySums:
     ) -> IntArray:
         """Add bodies at a time (s): positions, velocities (n, 3), masses and radii (n,), all in SI; return their cells.
 
-        Sums of squares are about the mean, and sums of two moments are joined as in Chan, Golub & LeVeque (1983). The
+        Sums of squares are about the mean, and sums at two times are combined as in Chan, Golub & LeVeque (1983). The
         rounding of a common velocity then does not change a temperature.
         """
         cell = self.grid.cells(position, np.full(len(position), time))

@@ -175,8 +175,8 @@ class FieldSums:
     def add_unplaced(self, virial: FloatArray, of: FloatArray) -> None:
         """Add Σ ℓ ⊗ J (J) of impacts with unknown places, given the sum over impacts with known places, (3, 3) each.
 
-        A cell's share is its fraction of the trace over impacts with known places, without the parts inside fixed
-        bodies.
+        Each cell receives the fraction that it has of the trace over impacts with known places, without parts inside
+        fixed bodies.
         """
         share = np.trace(self._impacts, axis1=1, axis2=2)
         if np.trace(of) > 0.0:

@@ -30,7 +30,7 @@ class Pushes(NamedTuple):
     """Contacts with the impulses that they transfer."""
 
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) numbers from n on are planes and walls
+    j: IntArray  # (k,) numbers ≥ n are planes and walls
     start: FloatArray  # (k, 3) m, the centre of i
     whole: FloatArray  # (k, 3) m, vector from that centre to the centre of j, or to the surface of a plane or wall
     impulse: FloatArray  # (k, 3) N s, impulse on j

@@ -24,7 +24,8 @@ Met = tuple[int, int]  # numbers of two bodies that touched in a step
 def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
     """Leave out bodies; return whether any body was left out.
 
-    First try to keep only the bodies that show the failure, and bodies that affect them by contacts or are near.
+    First try to keep only the bodies that show the failure, and bodies that affect them through contacts or are near
+    them.
     """
     base, before = smallest.document, smallest.bodies
     suspects = {number for number, body in enumerate(base[BODIES]) if body["name"] in smallest.suspects}

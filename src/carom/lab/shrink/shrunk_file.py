@@ -67,7 +67,7 @@ def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
     if reduction.steps > steps:  # the run may have more steps with fewer bodies
         taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
-    # reported stages: the first of each name, and all that changed the number of bodies or steps
+    # reported stages: the first stage of each name, and all stages that changed the number of bodies or steps
     told: list[Stage] = []
     for stage in reduction.stages:
         known = any(stage.name == other.name for other in told)

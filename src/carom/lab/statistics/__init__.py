@@ -55,7 +55,7 @@ class ContactColumns(NamedTuple):
     elapsed: float  # s, total length of the steps
     frame: IntArray  # (k,) index of each contact's frame, from 0
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) second body; numbers from n on are planes and walls
+    j: IntArray  # (k,) second body; numbers ≥ n are planes and walls
     normal: FloatArray  # (k, 3) unit vector from i to j
     impulse: FloatArray  # (k,) N s, impulse along the normal
     force: FloatArray  # (k,) N, force along the normal
@@ -68,7 +68,7 @@ class ImpactColumns(NamedTuple):
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s
     i: IntArray  # (k,) i < j
-    j: IntArray  # (k,) second body; numbers from n on are planes and walls
+    j: IntArray  # (k,) second body; numbers ≥ n are planes and walls
     point: FloatArray  # (k, 3) m
     normal: FloatArray  # (k, 3) unit vector from i to j
     speed: FloatArray  # (k,) m/s, speed of approach

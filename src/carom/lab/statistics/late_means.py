@@ -11,7 +11,7 @@ from carom.lab.statistics import Interval
 from carom.lab.statistics.motion_statistics import measure_stress, peculiar
 from carom.recording.read.recording import Recording
 
-BEGINS = 0.5  # fraction of the duration after which means begin: before, many scenes are far from a steady state
+BEGINS = 0.5  # fraction of the duration after which means begin: before that, many scenes are far from a steady state
 COMPONENTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
 
 

@@ -129,7 +129,7 @@ def measure_forces(interval: Interval) -> Statistic:
 def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: FloatArray) -> list[int]:
     """Return the number of bodies of each force chain.
 
-    ``pairs``, (k, 2), has the ends of contacts, where a number from n on is a plane. Normals, (k, 3), point from the
+    ``pairs``, (k, 2), has the ends of contacts, where a number ≥ n is a plane. Normals, (k, 3), point from the
     first end to the second; forces are (k,) N, radii (n,) m.
     """
     n, bodies = len(radius), pairs < len(radius)

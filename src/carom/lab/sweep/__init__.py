@@ -30,7 +30,7 @@ class SweepProgress(LiveLine):
         super().__init__(quiet)
         self._title, self._runs = title, runs
         self._found = self._ended = self._failed = 0
-        self._first: float | None = None  # time at which the first run ended, which had to wait for workers to start
+        self._first: float | None = None  # time at which the first run ended; this run had to wait for workers to start
 
     def begin(self, found: int) -> None:
         """Describe the task."""

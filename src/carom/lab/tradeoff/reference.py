@@ -198,7 +198,7 @@ AGREEMENT = 1e-3  # distance, in sizes of the system, at which refinements disag
 LOOSER = 10.0  # ratio of the tolerances of the second and the first exact solution
 GAIN = 1.1  # refinement ends when it extends the horizon by a smaller factor
 BUDGET = 120.0  # s, computing time for a reference
-# number of bodies up to which the reference of a scene with a tree is a direct sum; above it, `FINE_ANGLE` applies
+# largest number of bodies for which the reference of a scene with a tree is a direct sum; above, `FINE_ANGLE` applies
 DIRECT_UP_TO = 20_000
 FINE_ANGLE = 0.2  # rad; the tree's error is a twentieth of its error at the default angle
 

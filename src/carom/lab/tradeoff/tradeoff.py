@@ -330,7 +330,7 @@ class Study:
             budget = min(BUDGET, self.limit, FOR_THE_REFERENCE * self.budget.left)
             self.reference = make_reference(self.scene, finest, threads=self.threads, budget=budget, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
-            # a setting may have run before, or in an earlier study with a coarser reference
+            # settings may have run before this reference was made, perhaps in an earlier study with a coarser one
             for result in self.results:
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))

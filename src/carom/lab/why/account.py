@@ -29,7 +29,7 @@ class Cause:
     A stop is an impact whose contact closed no faster than the rest speed (docs/physics.md, 9).
     """
 
-    partner: int  # other end of the contact with this body; numbers from n on are planes and walls
+    partner: int  # other end of the contact with this body; numbers ≥ n are planes and walls
     holds: bool  # whether the cause is a contact at rest
     first: float  # s, time of the first step
     last: float  # s, time of the last step; equal to `first` for an impact
@@ -263,7 +263,7 @@ class Link:
     instant: int  # number of the instant within the step; impacts of one instant act together
     time: float  # s
     body: int
-    by: int  # the end that acted; numbers from n on are planes and walls
+    by: int  # the end that acted; numbers ≥ n are planes and walls
     impulse: float  # N s
     share: float  # share of the answer that passed from `by` to `body`
     turned: float = 0.0  # share of the answer that `by` turned round without giving speed

@@ -36,7 +36,7 @@ IMPULSE = np.dtype(
         ("instant", np.int64),  # number of the instant within the step; impulses of one instant act together
         ("time", np.float64),  # s
         ("i", np.int64),  # i < j
-        ("j", np.int64),  # the second end; numbers from n on are planes and walls
+        ("j", np.int64),  # the second end; numbers ≥ n are planes and walls
         ("x", np.float64),  # N s, the impulse on j; the impulse on i is the opposite
         ("y", np.float64),
         ("z", np.float64),
@@ -161,7 +161,7 @@ class Question:
     """The subject of a question: a body at a given time, or both ends of an impact."""
 
     bodies: tuple[int, ...]  # the body, or both bodies of the impact
-    ends: tuple[int, int] | None  # ends i < j of the impact; planes have numbers from n on
+    ends: tuple[int, int] | None  # ends i < j of the impact; planes have numbers ≥ n
     time: float  # s
     text: str  # the question in words
     event: str | None = None  # name of the event

@@ -73,7 +73,7 @@ class Answer:
 
     @property
     def first_cause(self) -> int:
-        """The body at the beginning of the chain, or a wall that moves on its own (a number from n on)."""
+        """The body at the beginning of the chain, or a wall that moves on its own (a number ≥ n)."""
         if not self.chain:
             return self.question.bodies[0]
         last = self.chain[-1]
