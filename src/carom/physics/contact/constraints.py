@@ -1,7 +1,7 @@
 """The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
-Records fill whole cache lines: fields used by the iterations are in other lines than fields used only by the phases
-before and after them.
+Records fill whole cache lines. Fields that only the phases before and after the iterations use have lines of their own,
+apart from the fields that the iterations use.
 """
 
 from __future__ import annotations

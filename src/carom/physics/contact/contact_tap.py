@@ -52,7 +52,7 @@ from carom.state.frame import empty_graph
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-# most impacts stored between two frames, 15 MB; if there are more, the hardest are kept, and all are counted
+# largest number of impacts stored between two frames, 15 MB; beyond it, the hardest are kept, and all are counted
 MOST_IMPACTS = 100_000
 
 
@@ -115,7 +115,7 @@ class ContactTap(OptionalPart):
         friction, world = contacts.needs.friction.modelled, contacts.world
         self._data = RowData(contacts.bodies.position, world.solver_box, world.materials, friction)
         self._buffer = Buffer(CONTACT_ROW)
-        self._largest_count = 0  # most rows of a step so far; a smaller buffer is enlarged before use
+        self._largest_count = 0  # largest number of rows of a step so far; smaller buffers are enlarged
         self.forget()
 
     def compile(self) -> None:

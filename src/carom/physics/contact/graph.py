@@ -25,7 +25,7 @@ from carom.physics.jit.instructions import from_front, lowest_bit
 from carom.physics.jit.vectors import WIDTH
 
 OVERFLOW = 64  # colour of contacts that do not fit into 64 colours; they are resolved last, one by one
-CONTACTS_PER_PIECE = 256  # most contacts of a piece, unless a full block needs more; an iteration over it takes some µs
+CONTACTS_PER_PIECE = 256  # limit on contacts per piece; a full block may need more; an iteration over it takes some µs
 
 
 @inline

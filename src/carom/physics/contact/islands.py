@@ -43,8 +43,8 @@ UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; a contact 
 class Islands:
     """Finds the island and the load speed of each contact; keeps its tables from step to step.
 
-    Threads join islands at the same time. The root is the lowest body in any case, so the result does not depend on
-    their order.
+    Threads join islands at the same time. The root is the lowest body in any case, so the result does not depend on the
+    order of the threads.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ class Islands:
     ) -> bool:
         """Write the load speed of each contact, `PER_STEP` |a|max dt of its island.
 
-        Two bodies that rest on each other and start a step at rest close no faster than the load speed at its end.
+        Two bodies that rest on each other and start a step at rest close no faster than the load speed at the end of
+        the step.
 
         Parameters
         ----------
@@ -217,7 +218,7 @@ def _write_speeds(
     dt: float,
     speeds: FloatArray,
 ) -> None:
-    """Write the load speed of each contact; all get the same if islands were not ``joined``."""
+    """Write the load speed of each contact; all contacts get the same speed if islands were not ``joined``."""
     parent, largest, flags = tables
     presses, speed = False, 0.0
     for c in range(lo, hi):
@@ -311,7 +312,7 @@ def join(parent: IntArray, i: int, j: int) -> None:
 
 @inner
 def join_shared(parent: IntArray, i: int, j: int) -> None:
-    """Join the sets of two bodies while other threads join sets; the roots do not depend on their order."""
+    """Join the sets of two bodies while other threads join sets; the order does not change the roots."""
     i, j = root_of(parent, i), root_of(parent, j)
     while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
         i, j = root_of(parent, i), root_of(parent, j)  # another thread may have moved one of the roots

@@ -240,7 +240,7 @@ class ContactPipeline:
 
     @property
     def is_steady(self) -> bool:
-        """Whether the last step had contacts, and all of them are held as the next step begins, or none has an impulse.
+        """Whether the last step had contacts, all held at the start of the next step or all without an impulse.
 
         False if the last step had impacts, if an optional part was busy, or if there were too many colours.
         """

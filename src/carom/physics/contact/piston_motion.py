@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from carom.physics.bodies import Ends
 
 _AXES = ("x", "y", "z")
-MOST_MOVED = 0.1  # most displacement of a piston in a step, in smallest radii, if impacts are resolved at the end
-MOST_FALLEN = 0.01  # most displacement of a piston from rest by its acceleration in a step, in smallest radii
+MOST_MOVED = 0.1  # largest displacement of a piston in a step, in smallest radii, if impacts are resolved at the end
+MOST_FALLEN = 0.01  # largest displacement of a piston from rest by its acceleration in a step, in smallest radii
 
 
 class PistonPlanes:

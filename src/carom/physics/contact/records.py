@@ -289,7 +289,7 @@ class SettingsRecord(Protocol):
     spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
     solved: float  # a round of conjugate gradients ends when r·z falls to this fraction of its first value
-    meshed_iterations: int  # most iterations of conjugate gradients in a round with meshed islands; 0 for no limit
+    meshed_iterations: int  # limit on iterations of conjugate gradients in a round with meshed islands; 0 for no limit
     refines: bool  # whether conjugate gradients follow the iterations
     keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
     spares_meshed: bool  # whether iterations after conjugate gradients ignore contacts of meshed islands

@@ -32,8 +32,8 @@ from carom.physics.vector import Vector, is_periodic, sizes, vector
 from carom.scene.portable_math import ENDLESS
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour beyond the neighbouring cells
-MOST_CELLS = 2**30  # most cells along an axis; with more, the rounding of a cell index would exceed the margin `WIDER`
-MAX_CELLS_PER_BODY = 16  # most cells in a grid that is numbered row by row
+MOST_CELLS = 2**30  # limit on cells along an axis; with more, the rounding of a cell index would exceed `WIDER`
+MAX_CELLS_PER_BODY = 16  # largest number of cells per body in a grid that is numbered row by row
 SPARSE = 2.5  # number of cells per body above which cells are broader across rows
 BROAD = 1.75  # factor on the width of cells across rows; the length of cells along rows is divided by its square
 WIDE = 2.0  # factor on the cell width if a grid would otherwise exceed `MAX_CELLS_PER_BODY`

@@ -38,7 +38,7 @@ from carom.physics.vector import Vector, between, is_periodic, sizes
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
 ALL_PAIRS_UP_TO = 100  # bodies up to which testing every pair is faster than sorting into cells
-NARROW = 4  # most cells within the search distance; with more, each row is shortened to its chord of the sphere
+NARROW = 4  # number of cells within the search distance above which rows are shortened to their chords of the sphere
 MIN_BODIES_PER_TASK = 200
 
 

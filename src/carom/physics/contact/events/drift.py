@@ -56,7 +56,7 @@ from carom.physics.vector import between, vector
 if TYPE_CHECKING:
     from carom.physics.contact.pipeline import ContactPipeline
 
-LOG_ROWS = 4096  # most impacts in one call
+LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # largest mean number of contacts per body at one moment
 SINGLE_ROWS = 4  # in the log of touching bodies, one row in this many is for single impacts, the others for groups
 GAP_ROUNDING = 16 * 2.0**-53  # relative rounding of the coordinates and of the sum of radii

@@ -116,7 +116,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
 
 @inner
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
-    """Move two bodies to the next impact; return the body whose prediction it is, or -1 if no impact follows.
+    """Move two bodies to the next impact; return the body that had predicted it, or -1 if no impact follows.
 
     A prediction is stale if the partner has had another impact since. In the case of a guided wall, the impact then
     comes later (`guided_walls`).

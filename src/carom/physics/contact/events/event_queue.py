@@ -17,7 +17,7 @@ from carom.physics.jit.decorators import inner
 class QueuedRecord(Protocol):
     """A body in the event queue."""
 
-    impact_time: float  # s, time of the body's next impact; infinite without one
+    impact_time: float  # s, time of the body's next impact; infinite if there is none
     partner: int  # other end of the body's next impact: body j, or n + p for plane p
     queue_place: int  # place in the event queue; -1 outside
 

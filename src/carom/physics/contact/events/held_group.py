@@ -62,7 +62,7 @@ from carom.physics.jit.decorators import inline, inner
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
 from carom.physics.vector import Vector, along, between, vector
 
-# most releases of an exhausted elastic body in a drift; a chain of impacts between masses needs 1 or 2
+# largest number of releases of an exhausted elastic body in a drift; a chain of impacts between masses needs 1 or 2
 MOST_RELEASES = 3
 SPEED_ROUNDING = 10.0 * ROUNDING  # closing speed, relative to the fastest body, that needs no impulse
 

@@ -19,9 +19,9 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.jit.decorators import inline, inner, long_kernel
 
-MOST_BODIES = 48  # most bodies in a group; other bodies are held in other groups
+MOST_BODIES = 48  # largest number of bodies in a group; other bodies are held in other groups
 MOST_CONTACTS = 3 * MOST_BODIES
-MOST_CHANGES = 20  # most changes per contact of the set of held contacts; rounding could exchange two contacts forever
+MOST_CHANGES = 20  # limit on changes of the held set, per contact; rounding could exchange two contacts forever
 DEPENDENT = 1e-29  # squared orthogonal part of a direction, relative to the whole direction, up to which it is rounding
 
 

@@ -33,7 +33,7 @@ from carom.physics.world import World
 from carom.plan.auto import integrator
 
 PATIENCE = 256  # number of single steps between two decisions whether to load or compile the kernel
-LONGEST_PAUSE = 16  # most single steps between two calls of the kernel, if each ends at a step that Python must process
+LONGEST_PAUSE = 16  # limit on single steps between calls of the kernel, if each call stops at a step for Python
 
 
 class SteadySteps:
@@ -51,7 +51,7 @@ class SteadySteps:
         self._last: OrderedContacts | None = None  # contacts of the last examined step
         self._go_on: Callable[..., tuple[Any, ...]] | None = None  # the kernel; None until it is worthwhile
         self._first: float = np.inf  # number of the first examined step
-        # single steps before the next call; and before the call after that, if the next call makes no step
+        # number of single steps before the next call; and before the call after it, if the next call makes no step
         self._pause, self._next_pause = 0, 1
         self._waited = 0  # single steps that the kernel could have made
         self._next_decision = PATIENCE  # value of `_waited` at which to decide again whether the kernel is worthwhile

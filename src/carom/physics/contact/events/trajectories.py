@@ -46,7 +46,7 @@ from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # standoff, in radii, of a body that is exhausted for the first time
-# most holds of an exhausted body in a drift; its standoff then exceeds every gap, and it no longer meets walls
+# limit on holds of an exhausted body in a drift; its standoff then exceeds every gap, and it no longer meets walls
 MOST_HOLDS = 100
 MAX_SEARCH_RADIUS = 1e150  # m; finite when squared
 
@@ -59,7 +59,7 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     # number of impacts of the next partner when the next impact was predicted; 0 for a solid at rest
     partner_impacts: int
     negligible_speed: float  # m/s; a slower approach is rounding, not an impact
-    search_radius: float  # m, displacement relative to the bulk up to which the body's neighbours are known
+    search_radius: float  # m, displacement, relative to the bulk, within which the body meets only its neighbours
     start_x: float  # m, position at the beginning of the drift, or at the middle of the path; see `narrow`
     start_y: float
     start_z: float
@@ -146,7 +146,7 @@ def write_search_radii(
     body: RecordArray[TrajectoryRecord],
     drift: RecordArray[DriftRecord],
 ) -> float:
-    """Write the search radius of each body for dt, and the bulk velocity; return the largest, in radii of its body.
+    """Write each body's search radius for dt, and the bulk velocity; return the largest search radius, in body radii.
 
     A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
     the centre of mass or to fixed objects. Such a radius suffices after most impacts, and a fast body does not widen

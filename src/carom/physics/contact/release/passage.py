@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 ENTRY = "passage"  # name of the ledger entry
 PATIENCE = 0.05  # fraction of the run's duration for which a place may be taken before a warning
-# most displacement of a body in the step in which it enters, in radii; the same value as `auto.LATE_CFL`
+# largest displacement of a body in the step in which it enters, in radii; the same value as `auto.LATE_CFL`
 LARGEST_MOVE = 0.5
 
 

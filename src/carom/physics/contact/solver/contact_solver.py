@@ -50,7 +50,7 @@ from carom.scene.start import HalfSpaces
 # then releases contacts, which changes the equations. In a falling heap of 1000 (benchmarks/heap.py), a fraction of 0.3
 # takes a fifth of the iterations that 10⁻³ takes, and leaves the same overlaps.
 SOLVED_BY_SWEEPS: dict[Sweeps | int, float] = {"auto": 0.3, "converged": SOLVED, "as-needed": SOLVED}
-# values of `contact.sweeps` with which small changes end the iterations
+# values of `contact.sweeps` for which small changes end the iterations
 AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")
 CONTACTS_PER_BODY = 8  # typical upper limit of contacts per body of an island
 
@@ -223,7 +223,7 @@ class ContactSolver:
 
     @property
     def approach(self) -> FloatArray:
-        """Closing speeds, (m,) m/s: the largest of each contact in the iterations of this step."""
+        """Largest closing speed of each contact in the iterations of this step, (m,) m/s."""
         return self._system.states["approach_speed"]
 
     @property
@@ -307,7 +307,7 @@ class ContactSolver:
         bias_rate
             1/s, Baumgarte's separation speed per overlap; 0 for none.
         max_iterations
-            Most iterations; fewer if they converge.
+            Largest number of iterations, if they do not converge before.
         impacts_only
             Whether to skip resting contacts.
         """
@@ -375,7 +375,7 @@ class ContactSolver:
         bias_rate
             1/s, Baumgarte's separation speed per overlap.
         max_iterations
-            Most iterations; fewer if they converge.
+            Largest number of iterations, if they do not converge before.
         against
             (n + p, 3) m/s², accelerations that the contacts counteract (default: the bodies' accelerations).
         """

@@ -42,13 +42,13 @@ from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.jit.task import assign, do, kind_of, lay_out, leading, led, raise_fault
 from carom.physics.jit.team import lead_phase
 
-MAX_ROUNDS = 20  # most rounds of conjugate gradients
-MAX_ITERATIONS = 100  # most iterations in a round
-# Most iterations in a round for meshed islands that need not converge. Where grains flow, gaps and sliding make the
-# equations contradict each other. In a drum, 85 iterations leave the same overlaps and closing speeds as 8; without any
-# round, overlaps are twice as deep.
+MAX_ROUNDS = 20  # largest number of rounds of conjugate gradients
+MAX_ITERATIONS = 100  # largest number of iterations in a round
+# Largest number of iterations in a round for meshed islands, which need not converge. Where grains flow, gaps and
+# sliding make the equations contradict each other. In a drum, 85 iterations leave the same overlaps and closing speeds
+# as 8; without any round, overlaps are twice as deep.
 MAX_MESHED_ITERATIONS = 8
-MAX_FURTHER_ITERATIONS = 256  # most Gauss–Seidel iterations after the last round
+MAX_FURTHER_ITERATIONS = 256  # largest number of Gauss–Seidel iterations after the last round
 # After this many iterations, a contact of a meshed island is unsolved only if it closes faster than its load speed,
 # above which a run would warn. With 8, a falling heap of 1000 is computed 1.2 times as fast, but takes longer to
 # settle. Rejected, since overlaps stay the same: continuing as long as 16 iterations halve the violation, which takes

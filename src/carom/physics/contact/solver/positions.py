@@ -19,8 +19,8 @@ the pair's potential.
 Rejected: the mean of the forces at the start and the end of the step, although its error is of the next order. In the
 collapse of 500 boulders, both have errors of 10⁻⁶ of the energy scale.
 
-Contacts of a colour are corrected eight at a time (`correct_block`), with the same bits as one by one. Both forms call
-the same formulas, which accept doubles or lanes.
+Contacts of a colour are corrected eight at a time (`correct_block`), with the same bits as if corrected one by one.
+Both forms call the same formulas, which accept doubles or lanes.
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ Without the square root, two spheres that roll about each other would separate a
 in every other step. The scheme is RATTLE (Andersen 1983) for contacts. Friction ends u - q, the slip in the middle of
 the drift (`half_turn`): as the normal turns, a body that spins about the normal begins to slip.
 
-Contacts of a colour are solved eight at a time (`solve_block`), with the same bits as one by one. Both forms call the
-same formulas, and call the law for each contact separately, so a law needs only one form.
+Contacts of a colour are solved eight at a time (`solve_block`), with the same bits as if solved one by one. Both forms
+call the same formulas, and call the law for each contact separately, so a law needs only one form.
 
 Impacts have been resolved before, one by one, with restitution (`impacts`). A step without resting contacts skips this
 phase.
