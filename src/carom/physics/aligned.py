@@ -1,4 +1,4 @@
-"""Arrays that begin on a cache line, so that each row or record occupies as few lines as possible."""
+"""Arrays aligned to cache lines, so that each row or record occupies as few lines as possible."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CACHE_LINE = 64  # bytes
 
 
 def aligned_empty(count: int, dtype: Any = np.float64, columns: int | None = None) -> NDArray[Any]:
-    """Return an uninitialised array, (count,) or (count, columns), that begins on a cache line."""
+    """Return an uninitialised array, (count,) or (count, columns), aligned to a cache line."""
     kind = np.dtype(dtype)
     size = count * kind.itemsize * (1 if columns is None else columns)
     buffer = np.empty(size + CACHE_LINE, dtype=np.uint8)
@@ -61,12 +61,12 @@ def raw(records: RecordArray[object]) -> Records:
 
 
 def words(records: RecordArray[object]) -> IntArray:
-    """Return contiguous records as words of eight bytes, a view."""
+    """Return a view of contiguous records as words of eight bytes."""
     return raw(records).view(np.int64)
 
 
 def joined(parts: Iterable[RecordArray[object]], kind: np.dtype[np.void]) -> Records:
-    """Return parts of contiguous records, joined in their order."""
+    """Return the concatenation of several arrays of contiguous records."""
     found: Records = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)
     return found
 
@@ -77,7 +77,7 @@ def picked(records: RecordArray[object], places: IntArray) -> Records:
 
 
 def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
-    """Return numeric fields that are adjacent in a record as an array, (m, k), without a copy."""
+    """Return a view, (m, k), of numeric fields that are adjacent in a record."""
     kind, offset = _place_of(records.dtype, names)
     numbers: FloatArray = np.asarray(records).getfield(kind, offset)
     return numbers
@@ -85,7 +85,7 @@ def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
 
 @cache
 def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[np.dtype[Any], int]:
-    """Return one type for all adjacent fields, and their offset (bytes) in a record."""
+    """Return one type that spans all these fields, and their offset (bytes) in a record."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
     assert kind.names[first : first + len(names)] == names, "the fields are adjacent and in this order"

@@ -1,4 +1,4 @@
-"""Steps of integrators that choose the lengths themselves: many steps per call, up to the next check or frame."""
+"""Steps of integrators that choose their own step lengths: many steps per call, up to the next check or frame."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from carom.physics.world import World
 from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
-FORESEEN = 2.0  # largest ratio of the next step to the holder's last step
-MOST_STRIKES = 100  # most impacts at one moment; bodies that still meet after these rest on each other
+FORESEEN = 2.0  # largest ratio of the holder's next step to its last step
+MOST_STRIKES = 100  # most impacts at one time; bodies that meet again after these rest on each other
 
 
 class BatchStepper:
-    """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet, and keeps its books.
+    """Advances a world by a `BatchIntegrator`, which ends a step where bodies meet, and keeps the world's books.
 
-    ``timestep`` suggests the first step. The ``holder`` computes the steps once contacts come to rest; it is None if
-    nothing can touch. With an accuracy, the integrator resumes once nothing touches; otherwise the holder finishes the
-    run.
+    ``timestep`` suggests the first step. The ``holder`` takes the steps once contacts come to rest; it is None if
+    nothing can touch. If the scene has an accuracy, the integrator resumes once nothing touches; otherwise the holder
+    finishes the run.
     """
 
     def __init__(
@@ -46,18 +46,18 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
-        # whether the integrator resumes, as it does with an accuracy
+        # whether the integrator resumes once nothing touches
         self._takes_back = world.scene.promise is not None
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
     def previous_dt(self) -> float:
-        """The first step (s) to try next."""
+        """The length (s) of the next step to try."""
         return self._holder.previous_dt if self._holder and self._held else self._integrator.next_dt
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint:
-        """A copy of the integrator's state besides the bodies."""
+        """A copy of the integrator's state, without the bodies."""
         last = self._integrator.checkpoint
         return replace(last, last_dt=BY_LEAPFROG) if self._held else last
 
@@ -144,7 +144,7 @@ class BatchStepper:
     def _fly(self, end: float, until: float, most: int) -> Batch:
         """Integrate up to a time, the end of the run, a number of steps, or the next impact.
 
-        Impacts at the beginning are resolved first. If contacts are at rest at that time, the holder takes over.
+        Impacts at the present time are resolved first. If contacts are then at rest, the holder takes over.
         """
         world, contact, time = self._world, self._world.contact, self._world.clock.time
         for _ in range(MOST_STRIKES):
@@ -166,7 +166,7 @@ class BatchStepper:
         return batch
 
     def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
-        """Take a step with the holder. The holder's steps end at pauses, because it has no solution within a step."""
+        """Take a step with the holder. The holder's steps end at pauses, because it has no dense output."""
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):
@@ -184,7 +184,7 @@ class BatchStepper:
 
     @property
     def has_solution(self) -> bool:
-        """Whether `between` has a solution for the last step."""
+        """Whether the last step has dense output, for `between`."""
         return self._took_last
 
     def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:

@@ -1,11 +1,11 @@
 """Exponentials, logarithms and powers, with the same bits on any machine.
 
-`exponentials` and `log_remainder` are the functions of drag:
+`exponentials` and `log_remainder` compute the functions that drag needs:
 
     φ₁ = (1 - e^{-z})/z,    φ₂ = (1 - φ₁)/z,    M = (-ln(1 - y) - y)/y²
 
-Each function is accurate to one or two roundings at any argument, also if these differences would cancel. libm is not
-used, since the last bits of its functions differ between machines.
+Each function is accurate to one or two roundings for any argument, even where these differences would cancel. libm is
+not used, since the last bits of its functions differ between machines.
 """
 
 from __future__ import annotations
@@ -101,5 +101,5 @@ def logarithm(x: float) -> float:
 
 @kernel
 def power(base: float, exponent: float) -> float:
-    """Return bᵖ for b > 0, to some parts in 10¹⁵."""
+    """Return bᵖ for b > 0, to a few parts in 10¹⁵."""
     return exponential(exponent * logarithm(base))

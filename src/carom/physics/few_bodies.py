@@ -1,10 +1,10 @@
 """Many steps of few bodies in one kernel, as long as no event needs Python.
 
-A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python calls a kernel for each part of it, and
-nearly two hundred with contacts. `KickDriftStepper` therefore leaves the steps up to the next frame or check to this
-kernel, in one of two forms: while nothing touches, the contact stages are the gaps of `open_gaps`; while the same
-contacts last, they are the stages of `contact.events.steady_contacts`. The same kernels as in single steps choose dt,
-rotate, kick, drift and resolve, in the same order, so the bits are the same as in single steps.
+A step of three bodies takes 80 ns in a kernel. If Python calls a kernel for each part of the step, it takes 10 µs, and
+nearly 200 µs with contacts. `KickDriftStepper` therefore leaves the steps up to the next frame or check to this kernel.
+While nothing touches, its contact stages are the functions of `open_gaps`; while the same contacts last, they are the
+functions of `contact.events.steady_contacts`. The kernels that choose dt, rotate, kick, drift and resolve are those of
+single steps, in the same order, so the bits are the same as in single steps.
 
 A step that Python must process is undone and left to `KickDriftStepper`: a step in which something may begin to touch
 or contacts change, or a step that is too short to change the clock.
@@ -61,7 +61,7 @@ if TYPE_CHECKING:  # `physics.jit.cache` also follows these imports
     from carom.physics.contact.events.steady_data import SteadyContacts
     from carom.physics.forces.drag import DragLaw
 
-MOST_STEPS = 20_000  # steps in one call, some milliseconds: `Space.stop` and the progress line wait until it ends
+MOST_STEPS = 20_000  # steps in one call, a few milliseconds: `Space.stop` and the progress line wait for its end
 
 
 class PlanRecord(Protocol):
@@ -87,7 +87,7 @@ class FlightLaws(NamedTuple):
     substeps: FloatArray  # (s, 3) s, parts of the step: first kick, drift, last kick
     uniform: FloatArray  # (f, 3) m/s², the uniform acceleration by each force that has one
     rule: RecordArray[RuleRecord]  # (1,)
-    forces: Parameters  # of installed packages
+    forces: Parameters  # parameters of forces from installed packages
     damping: DragLaw | tuple[()]  # parameters of the force that depends on velocities; empty if no force does
 
 
@@ -123,7 +123,7 @@ class Flight(NamedTuple):
 
 
 class FewBodies:
-    """Takes the steps of a world in which nothing touches; `arguments` are the kernel's, without the clock."""
+    """Takes the steps of a world in which nothing touches; `arguments` are the kernel's arguments after the clock."""
 
     def __init__(self, world: World, timestep: Timestep) -> None:
         forces, chosen = world.forces.laws, integrator(world.scene)
@@ -196,9 +196,9 @@ def take_steps(
     contacts: SteadyContacts | tuple[()],
     totals: Totals,
 ) -> tuple[int, float, float, float, int, float]:
-    """Take steps; return their number, then times, length and limit of the last step, and the average.
+    """Take steps; return their number, the times before and after the last step, its length and limit, and the average.
 
-    ``contacts`` hold in all steps; with an empty tuple, nothing touches.
+    ``contacts`` last during all steps; an empty tuple means that nothing touches.
     """
     contacts = by_address(contacts)
     time, end, until, most, average, number, stops_before = clock

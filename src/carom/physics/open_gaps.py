@@ -1,13 +1,13 @@
-"""The stages of contacts in the kernel of few bodies, if nothing touches: gaps that stay open.
+"""The contact stages of the kernel for few bodies while nothing touches: they test whether all gaps stay open.
 
 `carom.physics.few_bodies` calls these functions in each step, with the contacts of the step as the first argument.
 Here this argument is an empty tuple. `carom.physics.contact.events.steady_contacts` has forms of the functions for
 contacts that last.
 
-All gaps must stay larger than rounding, and larger than a fall from rest in one step: within that distance,
-`contact.pipeline` searches for contacts. Paths are straight, so two bodies approach each other by at most |v_j - v_i|
-dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested again only after the bodies may have
-moved by half the smallest gap.
+All gaps must stay larger than rounding, and larger than the distance that a body falls from rest in one step, since
+`contact.pipeline` searches for contacts within that distance. Paths are straight, so two bodies approach each other by
+at most |v_j - v_i| dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested again only after
+the bodies may have moved by half the smallest gap.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from carom.physics.rotation import rotate_one
 from carom.physics.vector import is_periodic, minimum_image, square
 
 NEAR = 2.0 * TOUCHING  # gap relative to the sum of radii; twice the largest gap of touching bodies
-# rounding relative to the coordinates: 64 times their last digit; the search allows for four last digits
+# rounding relative to the coordinates: 64 units in the last place; the search for contacts allows for four
 ROUNDING = 2.0**-46
 GRAIN = 2.0**-50  # relative to the coordinates: more than the rounding of a drift
 BOX_FRACTION = 0.25  # fraction of the smallest side of the box; bodies may move this far before they are tested again
@@ -81,7 +81,7 @@ class TotalsRecord(Protocol):
 
 
 Room = tuple[float, float, float]
-"""In m: the smallest gap at the last test, how far bodies may have moved since, and the rounding of a drift."""
+"""Lengths in m: the smallest gap at the last test, the distance moved since by any body at most, a drift's rounding."""
 
 UNTESTED: Room = (0.0, 0.0, 0.0)
 TOTALS = dtype_of(TotalsRecord)
@@ -125,7 +125,7 @@ def can_drift(
     drift: float,
     room: Room,
 ) -> tuple[bool, Room]:
-    """Return whether no bodies meet in a drift (s), and the room after it.
+    """Return whether all bodies stay apart in a drift of ``drift`` s, and the room after it.
 
     ``field`` (m/s²) is the magnitude of the uniform acceleration.
     """
@@ -175,7 +175,7 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
 
 @inner
 def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
-    """Return the smallest gap (m), 0 if a gap may close to the skin in dt s, and the drift's rounding."""
+    """Return the smallest gap and the drift's rounding, both in m; zeros if a gap may close to the skin in dt s."""
     radius, inverse_mass, box, normal, offset = kept.radius, kept.inverse_mass, kept.box, kept.normal, kept.offset
     size = 0.0  # m, size of the coordinates
     for i in range(len(x)):

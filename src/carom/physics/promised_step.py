@@ -1,4 +1,4 @@
-"""Steps that keep an accuracy up to the end of its promise, and ordinary steps from there on."""
+"""Steps that keep an accuracy until the promise ends, and ordinary steps after that."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Stepper(Protocol):
 
     @property
     def previous_dt(self) -> float:
-        """The step (s) from which the next step follows."""
+        """The step (s) from which the next step is chosen."""
 
     @property
     def first_dt(self) -> float:
@@ -30,11 +30,11 @@ class Stepper(Protocol):
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint | None:
-        """A copy of the state that the next step needs besides the bodies and contacts."""
+        """A copy of the state that the next step needs in addition to the bodies and contacts."""
 
     @property
     def has_solution(self) -> bool:
-        """Whether `between` has a solution for the last step."""
+        """Whether the last step has dense output, for `between`."""
 
     def warm_up(self, dt: float) -> None:
         """Take a step of about dt seconds, to load the kernels."""
@@ -73,7 +73,7 @@ class PromisedStepper:
 
     @property
     def previous_dt(self) -> float:
-        """The step (s) from which the next step follows."""
+        """The step (s) from which the next step is chosen."""
         return self._present.previous_dt
 
     @property
@@ -83,7 +83,7 @@ class PromisedStepper:
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint | None:
-        """A copy of the integrator's state besides the bodies, in the same form during the whole run."""
+        """A copy of the integrator's state without the bodies, in the same form during the whole run."""
         carried = self._accurate.checkpoint
         if carried is None or not self._is_over:
             return carried
@@ -124,7 +124,7 @@ class PromisedStepper:
 
     @property
     def has_solution(self) -> bool:
-        """Whether `between` has a solution for the last step."""
+        """Whether the last step has dense output, for `between`."""
         return self._present.has_solution
 
     def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
@@ -133,7 +133,7 @@ class PromisedStepper:
 
 
 def without_accuracy(scene: Scene) -> Scene:
-    """Return a scene without its promise: with ordinary steps, as after the promise has ended.
+    """Return a scene without its promise, so that its steps are ordinary, as they are after the promise has ended.
 
     Impacts keep their exact times. An integrator that chooses its own steps is kept, since its state is recorded.
     """

@@ -1,7 +1,8 @@
-"""The calls of the reference engine: one body and one collision, in vector form.
+"""The API of the reference engine: one body and one collision, in vector form.
 
-``Space.compute_dynamics`` and ``Space.get_body_data_for_display`` are methods of the space. `CollisionContext` resolves
-a pair like `contact.solver.impacts.resolve_impacts`, but in readable form; tests compare the two:
+Its functions ``compute_dynamics`` and ``get_body_data_for_display`` are methods of `carom.physics.space.Space`.
+`CollisionContext` resolves a pair like `contact.solver.impacts.resolve_impacts`, but in readable form; tests compare
+the two:
 
     v_n = (v_j - v_i)·n                              normal velocity, negative on approach
     J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)
@@ -9,8 +10,8 @@ a pair like `contact.solver.impacts.resolve_impacts`, but in readable form; test
     J_t = |u_t| / (1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j)     if that is at most μ_s J_n, otherwise μ_k J_n
 
 Both bodies share one contact point on the line of centres, at ρ_i = d r_i/(r_i + r_j) from i and ρ_j = d - ρ_i from j.
-The lever arms r_i and r_j of overlapping spheres would not add up to d, so each friction impulse would create angular
-momentum, overlap × J_t.
+The lever arms r_i and r_j of overlapping spheres would not add up to d, so each friction impulse would create the
+angular momentum overlap × J_t.
 """
 
 from __future__ import annotations

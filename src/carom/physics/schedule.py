@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Schedule = Callable[[int, float, float], bool]  # step, times before and after the step → whether the step is scheduled
 
-MULTIPLE_TOLERANCE = 1e-9  # relative difference between a time and a multiple of the frame interval that is ignored
+MULTIPLE_TOLERANCE = 1e-9  # ignored relative difference between a time and a multiple of the frame interval
 
 
 class Watch(ABC):
@@ -29,7 +29,7 @@ class Watch(ABC):
 
     @abstractmethod
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the number of steps and the time (s) before which nothing is due, at the end of a step."""
+        """At the end of a step, return the number of steps and the time (s) before which nothing is due."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Every:
         return self.interval == 0.0 or _multiples(time, self.interval) > _multiples(before, self.interval)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the step and the time (s) before which nothing is due."""
+        """Return the number of steps and the time (s) before which nothing is due."""
         if self.interval == 0.0:
             return 1, time
         following = (_multiples(time, self.interval) + 1.0) * self.interval
@@ -62,14 +62,14 @@ class At:
         return place < len(self.steps) and self.steps[place] == step
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the step and the time (s) before which nothing is due."""
+        """Return the number of steps and the time (s) before which nothing is due."""
         place = bisect_right(self.steps, step)
         return self.steps[place] - step if place < len(self.steps) else math.inf, math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """A schedule without frames: steps taken in one call end with the first step that reaches or passes a time (s)."""
+    """A schedule without frames: a call that takes many steps ends once a step reaches or passes a time (s)."""
 
     time: float
 
@@ -78,7 +78,7 @@ class Pause:
         return False
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the step and the time (s) before which nothing is due."""
+        """Return the number of steps and the time (s) before which nothing is due."""
         return math.inf, self.time
 
 
@@ -94,7 +94,7 @@ class Checks:
         return step % self.steps == 0 or self.others(step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return the step and the time (s) before which nothing is due."""
+        """Return the number of steps and the time (s) before which nothing is due."""
         steps, until = quiet(self.others, step, time)
         return min(steps, self.steps - step % self.steps), until
 
@@ -110,7 +110,7 @@ def at(steps: Iterable[int]) -> Schedule:
 
 
 def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
-    """Return the step and the time (s) at which a schedule must be evaluated next.
+    """Return the number of steps and the time (s) before which a schedule need not be evaluated.
 
     Schedules of other types are evaluated for every step.
     """
@@ -136,7 +136,7 @@ class Goal(NamedTuple):
 
     end: float  # s, end of the run
     schedule: Schedule  # steps after which a frame is due
-    checks: Schedule  # steps after which the errors are judged
+    checks: Schedule  # steps after which the errors are checked
     most: int  # largest number of steps
     shows_end: bool = True  # whether a frame is due after the last step
 
@@ -149,6 +149,6 @@ class Goal(NamedTuple):
         return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def quiet(self, clock: Clock) -> tuple[float, float]:
-        """Return the step and the time (s) before which neither a frame nor a check is due."""
+        """Return the number of steps and the time (s) before which neither a frame nor a check is due."""
         frame, check = (quiet(due, clock.step, clock.time) for due in (self.schedule, self.checks))
         return min(frame[0], check[0]), min(frame[1], check[1])

@@ -1,22 +1,22 @@
 """A periodic box under uniform shear: the images along the gradient move (Lees & Edwards 1972).
 
-With the shear rate γ, the flow along x and the gradient along y, the mean velocity is u = γ y x̂. In a box of the size
-L, image k along the gradient has at the time t the position and the velocity
+With the shear rate γ, the flow along x and the gradient along y, the mean velocity is u = γ y x̂. In a box of size L,
+image k along the gradient has at time t the position and the velocity
 
     x + k (L_y ŷ + s x̂),    v + k γ L_y x̂,    s = γ L_y t
 
-where whole lengths L_x are subtracted from s. A body that leaves the box through a face along y enters through the
-other face as its image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. The velocity of the body
-relative to the flow, v - γ y x̂, does not change.
+where s is reduced modulo L_x. A body that leaves the box through a face along y enters through the other face as its
+image: its position changes by ∓(L_y ŷ + s x̂), its velocity by ∓γ L_y x̂. The velocity of the body relative to the
+flow, v - γ y x̂, does not change.
 
 Within a step, the paths of bodies and of their images are straight lines, with different velocities. Times of impact
-are found for each image that comes near (`time_of_impact.first_of_images`), and an impact has the velocity relative to
+are found for each image that comes near (`time_of_impact.first_of_images`), and an impact uses the velocity relative to
 the image. Bodies are wrapped at the end of the step.
 
 Let w be the velocity of an image relative to its body, and J the impulse on it in an impact. The impact changes the
-energy of both bodies by the dissipated energy, and by the work -J·w. This work and the change of Σ ½ m v² by wrapping
-are together the work of the shear, which the ledger books as an entry, where a loss is positive. The momentum that
-bodies gain by wrapping is added to the expected momentum. In coordinates that the shear carries along,
+energy of both bodies by the dissipated energy, and by the work -J·w. This work plus the change of Σ ½ m v² by wrapping
+is the work of the shear. The ledger books it as an entry, in which a loss is positive. The momentum that bodies gain by
+wrapping is added to the expected momentum. In coordinates that the shear carries along,
 
     x' = x - (s/L_y) y
 
@@ -24,14 +24,14 @@ the images form a grid at rest, and bodies move only relative to the flow. The b
 coordinates, within distances multiplied by the largest stretch of x ↦ x' and of the flow within a step
 (`ShearedBox.stretch`).
 
-Contacts that last are resolved at the end of a step, at the places of the images at that time. Records of contacts then
-have a field for w, so that the solver finds impulses from velocities relative to the image, and the work of these
+Lasting contacts are resolved at the end of a step, with the images where they are at that time. Records of contacts
+then have a field for w, so that the solver finds impulses from velocities relative to the image. The work of these
 impulses is booked like the work of an impact. A packing in the flow is never at rest: the relative velocity of two
-neighbours, γ d for centres at a distance d, changes by its own size within 1/γ. A contact is at rest if it closes at
-most twice as fast as the acceleration γ² d could make it close in a step.
+neighbours, γ d for centres at a distance d, changes by its own magnitude within a time 1/γ. A contact is at rest if it
+closes at most twice as fast as the acceleration γ² d could make it close in a step.
 
-Numba compiles the functions below for each type of the box, an array of sizes or the record of a sheared box, and for
-each type of a contact, with or without w.
+Numba compiles the functions below for each type of box (an array of sizes, or the record of a sheared box) and for each
+type of contact (with or without w).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class ShearedBoxRecord(Protocol):
     depth: float  # m, size of the box along the gradient
     speed: float  # m/s, velocity of the next image along the gradient
     shift: float  # m, displacement of the next image along the flow, as the step begins or when contacts are found
-    period_x: float  # m, size along the other axes; `ENDLESS` along the gradient
+    period_x: float  # m, size of the box along x; this field and the next two are `ENDLESS` along the gradient
     period_y: float
     period_z: float
     work: float  # J, work of the shear in impacts since `ShearedBox.pop`
@@ -91,13 +91,13 @@ class ShearedBox:
         self.record["shift"] = self._shear.shift(self._size, time)
 
     def at(self, time: float) -> FloatArray:
-        """Return the record of a time (s), for kernels that accept any box."""
+        """Return the record at a time (s), for kernels that accept any box."""
         self.begin(time)
         return self.at_present
 
     @property
     def at_present(self) -> FloatArray:
-        """The record of the present time, for kernels that accept any box."""
+        """The record at the present time, for kernels that accept any box."""
         return cast(FloatArray, self.record)
 
     def relative(self, velocity: FloatArray, position: FloatArray) -> FloatArray:
@@ -113,7 +113,7 @@ class ShearedBox:
         return carried
 
     def acceleration(self, diameter: float) -> float:
-        """Return the relative acceleration (m/s²) of two bodies in the flow at a distance in m."""
+        """Return the relative acceleration (m/s²) of two bodies in the flow, ``diameter`` (m) apart."""
         return self.rate * self.rate * diameter
 
     def add_work(self, contacts: RecordArray[Any], impulses: RecordArray[Any]) -> None:
@@ -125,7 +125,7 @@ class ShearedBox:
         self._work += _work_of_corrections(contacts, impulses)
 
     def stretch(self, dt: float) -> float:
-        """Return the factor on search distances that covers the stretch by x ↦ x' and by the flow in a step of dt s."""
+        """Return the factor for search distances that covers the stretch by x ↦ x', and by the flow in dt s."""
         return _largest_stretch(self._slope) * _largest_stretch(self.rate * dt)
 
     @property
@@ -133,7 +133,7 @@ class ShearedBox:
         return float(self.record["shift"][0]) / self._depth
 
     def wrap(self, bodies: Bodies, time: float) -> None:
-        """Wrap every centre into the box at a time (s) at the end of a step, with its velocity, and book the work."""
+        """Wrap all centres into the box at a time (s), the end of a step, with their velocities; book the work."""
         state = bodies.position, bodies.velocity, bodies.mass
         work, impulse = _wrap(*state, self.record, self._shear.shift(self._size, time))
         self._work, self._impulse = self._work + work, self._impulse + impulse
@@ -224,7 +224,7 @@ def along_image(contact: ImageVelocity, Jx: float, Jy: float, Jz: float) -> floa
     return Jx * contact.image_x + Jy * contact.image_y + Jz * contact.image_z
 
 
-# Forms for a sheared box, or for a contact with w; below them are the functions that kernels call, with the other form.
+# Forms for a sheared box or for a contact with w. The functions further below, which kernels call, are the other forms.
 
 
 def _nearest(dx: float, dy: float, dz: float, box: Any, clock: float) -> Vector:
@@ -268,7 +268,7 @@ def is_sheared(box: Any) -> bool:
 
 @with_field("shift", lambda box: (box[0].period_x, box[0].period_y, box[0].period_z))
 def periods(box: Any) -> Vector:
-    """Return the size of a periodic box in m; of a sheared box, `ENDLESS` along the gradient."""
+    """Return the size (m) of a periodic box; `ENDLESS` along the gradient of a sheared box."""
     return box[0], box[1], box[2]
 
 
@@ -297,7 +297,7 @@ def add_work(box: Any, work: float) -> None:
 
 @with_field("image_x", _slope_of_image)
 def slope_of_image(contact: object, slope: float, Jx: float, Jy: float, Jz: float) -> float:
-    """Add J·w to a sum of impulses times velocities in J; since the velocities of bodies do not contain w."""
+    """Add J·w to a sum of impulses times velocities (J), since the velocities of bodies do not contain w."""
     return slope
 
 
@@ -307,7 +307,7 @@ def set_image_velocity(contact: object, dx: float, dy: float, dz: float, box: An
 
 
 def relative_to_image(contact: Any, ux: float, uy: float, uz: float) -> Vector:
-    """Return the velocity (m/s) of the image of j relative to i, given the velocity of j; for numbers and lanes."""
+    """Return the velocity (m/s) of the image of j relative to i, given that of body j; for numbers and lanes."""
     return _image_velocity(contact, ux, uy, uz) if hasattr(contact, "image_x") else (ux, uy, uz)
 
 

@@ -1,4 +1,4 @@
-"""A scene in motion: its world, stepper and books; `carom.physics.step` has the order of one step."""
+"""A scene in motion: its world, stepper and books; `carom.physics.step` shows the stages of a step."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from carom.state.checkpoint import Checkpoint, fingerprint_of
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph, Frame, empty_graph
 
-WARM_UP_DT = 1e-3  # fraction of the step that the limits allow at the start
+WARM_UP_DT = 1e-3  # length of a warm-up step, as a fraction of the first step that the limits allow
 
 
 class StepStatus(NamedTuple):
@@ -57,7 +57,7 @@ class StepStatus(NamedTuple):
 
     @property
     def energy_error(self) -> float:
-        """|integration error|, relative to the energy scale."""
+        """Magnitude of the integration error, relative to the energy scale."""
         return self.energy.relative_error
 
 
@@ -66,9 +66,9 @@ class Simulation:
 
     Only one thread may step a simulation. Meanwhile, other threads may only read ``status`` and call ``stop``.
 
-    Errors are judged at the first step at or after each multiple of `check_interval` (s), at every
+    Errors are checked at the first step at or after each multiple of `check_interval` (s), at every
     ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does not
-    depend on the recording. If the interval is None, errors are judged at the frames.
+    depend on the recording. If the interval is None, errors are checked at the frames.
     """
 
     def __init__(
@@ -150,13 +150,13 @@ class Simulation:
 
     @property
     def has_solution(self) -> bool:
-        """Whether the integrator has a solution within the last step, for `between`."""
+        """Whether the integrator has dense output for the last step, which `between` needs."""
         return self._stepper.has_solution
 
     def between(self, time: float) -> tuple[FloatArray, FloatArray] | None:
         """Return positions and velocities, (n, 3) m and m/s, at a time (s) within the last step.
 
-        None if the integrator has no solution within its steps.
+        Return None if the integrator has no dense output.
         """
         return self._stepper.between(self.time - time)
 
@@ -185,7 +185,7 @@ class Simulation:
         return self.state.acceleration.copy()
 
     def begin_as(self, start: Checkpoint) -> None:
-        """Measure errors relative to the references of a recorded start, whose rounding may differ."""
+        """Measure errors relative to the reference values of a recorded start, whose rounding may differ."""
         if self._books.audit.refer_to(start.books):
             self._books.measure(self._world.forces.potentials(), judged=True)
             self._publish()
@@ -232,17 +232,17 @@ class Simulation:
             self._stopping = False
 
     def reach(self, time: float) -> None:
-        """Step until a time in s, without frames and checks; see `run`."""
+        """Step until a time in s, without frames or checks; see `run`."""
         goal = Goal(time, at(()), at(()), most=self.scene.record.check_every, shows_end=False)
         while self.time < time and not self._stopping:
             self._advance(goal)
         self._stopping = False
 
     def approach(self, time: float, most: int, *, ends_there: bool) -> None:
-        """Take one step, or ``most`` steps in one call, but not beyond a time (s), without frames and checks.
+        """Take one step, or ``most`` steps in one call, but not beyond a time (s), without frames or checks.
 
-        While contacts last, a call takes one step. Whether a kernel takes several steps depends on what this process
-        has compiled, and the work of a look-ahead, which counts calls, must not depend on that.
+        While contacts last, a call takes one step. Whether a kernel could take several steps depends on what this
+        process has compiled; the work of a look-ahead is counted in calls and must not depend on that.
         """
         if self._contact and not self._contact.is_quiet:
             most = 1
@@ -251,7 +251,7 @@ class Simulation:
 
     @property
     def contact_work(self) -> tuple[int, int, int]:
-        """Numbers of contacts in the last step, of the iterations that held them, and of the impacts in the step."""
+        """Numbers of contacts, of solver sweeps and of impacts in the last step."""
         contact = self._contact
         return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
@@ -319,9 +319,9 @@ class Simulation:
         )
 
     def without_impacts(self, torque: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
-        """Keep only the torques of lasting contacts in copies of the last step's arrays, (n, 3) N m and rad/s².
+        """Subtract the effect of impacts from copies of the last step's arrays, (n, 3) N m and rad/s².
 
-        Return the angular impulses by impacts in the step, (n, 3) N m s, as an array that must not be modified.
+        Return the angular impulses of impacts in the step, (n, 3) N m s, as an array that must not be modified.
         """
         turns = self._contact.turns_of_impacts if self._contact and len(torque) else None
         if turns is None:
@@ -345,7 +345,7 @@ class Simulation:
 
 
 def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
-    """Return the stepper of a world, with steps up to ``stride`` times as long as the scene's."""
+    """Return the stepper of a world, with steps up to ``stride`` times as long as the scene's steps."""
     scene = world.scene
     if scene.promise is not None:
         until, ordinary = scene.promise.kept_until, without_accuracy(scene)

@@ -1,4 +1,4 @@
-"""`Space`: the public calls of a simulation."""
+"""`Space`: the public API of a simulation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 
 
 class Space(Simulation):
-    """A simulation of a scene, with the public calls of the reference engine and more.
+    """A simulation of a scene, with the API of the reference engine and more.
 
     Only one thread may step a space. Meanwhile, other threads may only read ``status`` and call ``stop``.
 
@@ -35,12 +35,12 @@ class Space(Simulation):
     scene
         The scene to simulate.
     threads
-        Threads for the kernels, by default one per core. The bits do not depend on it.
+        Number of threads for the kernels, by default one per core. The bits do not depend on it.
     start
         Initial states of the bodies, by default as the scene places them.
     stride
-        Largest factor on the scene's steps, for a coarse look-ahead; the method may allow less. `foreseen` counts the
-        scene's own steps.
+        Largest factor by which the scene's steps are multiplied, for a coarse look-ahead; the method may allow less.
+        `foreseen` counts the scene's own steps.
     record_contacts
         Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
         not depend on it.
@@ -54,7 +54,7 @@ class Space(Simulation):
     TypeError
         If the scene is not a `Scene`.
     ValueError
-        If the number of threads is not whole or less than 1.
+        If the number of threads is not a whole number of at least 1.
     """
 
     def __init__(
@@ -141,8 +141,8 @@ class Space(Simulation):
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Torques (N m) and angular accelerations (rad/s²) are due to contacts that last, as in a `Frame`. If the scene
-        requires no orientations or torques, the result has the identity and zeros.
+        Torques (N m) and angular accelerations (rad/s²) are due to lasting contacts only, as in a `Frame`. If the scene
+        requires no orientations or torques, the result contains the identity and zeros in their place.
         """
         state, n, needs = self.state, len(self.state), self.requirements
         orientation = state.orientation if needs.orientation.modelled else np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))

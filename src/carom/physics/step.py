@@ -26,16 +26,16 @@ from carom.state.checkpoint import Checkpoint
 
 WARM_UP_STEPS = 3
 STICKING = "friction"  # name of the limit of a step that ends when a contact stops sliding or rolling
-# Fraction of a step: the length of the first step in contact, whose friction is not known. If a contact sticks within
-# this step, the error is smaller than usual by the square of the fraction.
+# Length of the first step in contact, whose friction is not known yet, as a fraction of a usual step. If a contact
+# sticks within this step, the error is smaller than usual by the square of the fraction.
 FIRST_IN_CONTACT = 1.0 / 64.0
 
 
 class KickDriftStepper:
     """Advances a world by kicks, drifts and contacts, one step at a time, and keeps its books.
 
-    ``timestep`` chooses the steps. If ``timestep`` allows longer steps than the scene does, ``asked`` chooses the
-    scene's own steps.
+    ``timestep`` chooses the steps. If ``timestep`` allows longer steps than the scene does, ``asked`` computes the
+    scene's own steps, which are only counted.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:
@@ -63,7 +63,7 @@ class KickDriftStepper:
 
     @property
     def previous_dt(self) -> float:
-        """The step (s) that enters the average for the next step: smoothed, and not cut at the end of a run."""
+        """The step (s) that enters the moving average: after smoothing, but before the cut at the end of a run."""
         return self.timestep.previous
 
     @property
@@ -78,7 +78,7 @@ class KickDriftStepper:
 
     def warm_up(self, dt: float) -> None:
         """Take a few steps of dt seconds without booking them; they also compute the initial accelerations."""
-        # otherwise make a single step, which loads the kernels
+        # a scene that requires no warm-up makes a single step, which loads the kernels
         for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):
             self._step(dt, with_potential=False)
         if self._flight:
@@ -87,7 +87,7 @@ class KickDriftStepper:
             part.discard()
 
     def begin(self) -> None:
-        """Start at the present state, where touching contacts carry no impulses yet."""
+        """Start at the present state, in which touching contacts carry no impulses yet."""
         if self._world.contact:
             self._world.contact.forget()
         self.take_over()
@@ -132,7 +132,7 @@ class KickDriftStepper:
         if is_first:
             return FIRST_IN_CONTACT * dt
         time = contact.time_to_stick(dt, tolerance)
-        return time if time <= 2.0 * dt else 0.5 * time  # the forces may change before a time that is far ahead
+        return time if time <= 2.0 * dt else 0.5 * time  # a time far ahead is uncertain, as forces may change
 
     def _advance(self, goal: Goal) -> bool:
         """Take a step, or many if nothing touches, up to the goal; return whether a frame is due."""
@@ -192,11 +192,11 @@ class KickDriftStepper:
 
     @property
     def has_solution(self) -> bool:
-        """False: there is no solution within a step."""
+        """False: kicks and drifts have no dense output."""
         return False
 
     def between(self, earlier: float) -> None:
-        """Return None: there is no solution within a step."""
+        """Return None: kicks and drifts have no dense output."""
 
     def _choose(self, end: float) -> tuple[float, float, str]:
         """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
@@ -216,8 +216,8 @@ class KickDriftStepper:
         """Take a step of dt seconds; return the potential energies at its end if requested.
 
         Overlaps are corrected after the last drift, so that forces belong to the final positions. The reference engine
-        (docs/validation.md) corrects overlaps at the end of the step. Unless forces are computed twice, they then
-        belong to other positions, the next kick is not central, and angular momentum drifts by overlap × force.
+        (docs/validation.md) corrects overlaps at the end of the step. Unless it computes forces twice, they belong to
+        the uncorrected positions. The next kick is then not central, and angular momentum drifts by overlap × force.
         """
         world, contact, hooks, step = self._world, self._world.contact, self._hooks, self._now
         potentials: Potentials = {}
@@ -300,7 +300,7 @@ class KickDriftStepper:
         self._change_velocities(self._hooks.kicked)
 
     def _change_velocities(self, hooks: StepHooks) -> None:
-        """Let parts change velocities, and tell the audit."""
+        """Let parts change velocities, and report the changes to the impulse audit."""
         for hook in hooks:
             with self._books.change:
                 hook(self._now)

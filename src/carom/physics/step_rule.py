@@ -1,21 +1,21 @@
-"""The rule of the adaptive step in kernels; single steps and many steps in one call use the same function.
+"""The rule for the adaptive step, as kernels that single steps and calls of many steps share.
 
 `carom.physics.time_step` describes the limits by accelerations and speeds. Where nothing can touch, gravity limits the
-step to a fraction of the shortest time scale of any pair. A pair at the distance r has a passing time r/v and a falling
-time √(r³/(G M)), M = m_i + m_j. With Plummer's R² = r² + ε², these combine to
+step to a fraction of the shortest time scale of any pair. A pair at distance r has a fly-by time r/v and a free-fall
+time √(r³/(G M)), with M = m_i + m_j. With Plummer's R² = r² + ε², these combine to
 
     1/τ² = v²/R² + G M/R³,    τ'/τ = (r·v/R²) (1 + 3/2 (G M/R) / (v² + G M/R))
 
 (Pelupessy, Jänes & Portegies Zwart 2012 use the shorter of the two.) A step of η τ, with τ at its start, would be
 longer before an encounter than after it, and the energy would drift. Half of the change of τ in the step is therefore
-added, as by Pelupessy et al.: to first order, h = η τ / (1 - η τ'/2) is the mean of the values at both ends, so the
-steps along an orbit are the same in both directions of time. At an eccentricity of 0.999, 20 orbits then conserve their
-energy to 5 × 10⁻¹¹; without the correction, to 10⁻⁶.
+added, as Pelupessy et al. do: to first order, h = η τ / (1 - η τ'/2) is the mean of the values at both ends, so the
+steps along an orbit are the same in both directions of time. At an eccentricity of 0.999, the energy is then conserved
+over 20 orbits to 5 × 10⁻¹¹, but only to 10⁻⁶ without the correction.
 
 With more than `PAIRS_UP_TO` bodies, single pairs are not examined. If the acceleration a of a body is due to a single
-neighbour of mass m, the neighbour is at the distance r = √(G m/a), and the two fall together in the time (G m)^¼
-a^(-¾). For a body in the common field of many others, this time is shorter than necessary. Softening ε bounds the time
-from below by √(ε/a).
+neighbour of mass m, the neighbour is at distance r = √(G m/a), and the two fall together in a time (G m)^¼ a^(-¾). For
+a body in the common field of many others, this time is shorter than necessary. Softening ε bounds the time from below
+by √(ε/a).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
     """Return the largest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:
         return np.inf
-    # square roots of square roots scale exactly with powers of two, so the bits stay the same
+    # nested square roots are exact in units scaled by powers of two, so the bits do not depend on such units
     alone = np.sqrt(np.sqrt(mean / largest) / largest)
     step: float = fraction * max(alone, np.sqrt(softening / largest))
     return step
@@ -149,7 +149,7 @@ def target(
 
     ``supported``, (n + p,) m/s², are the accelerations that contacts support; it is empty if there are none. The
     acceleration that all bodies share, ``field``, (3,) m/s², is left out. ``limits`` has a row for each block of
-    bodies; they are filled here unless they ``are_known``.
+    bodies; the rows are filled here unless they ``are_known``.
     """
     R, (x, v, _, _, m, inverse_mass) = rule[0], bodies
     dt, limit = R.max_dt, CAP
@@ -238,7 +238,7 @@ def find_limits(
 
 @kernel
 def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
-    """Return the first five fields of `LIMITS` and the last, each with the strictest value of all blocks."""
+    """Return the strictest value over all blocks of each field of `LIMITS` except ``fastest_squared``."""
     a_max, a_free, b_max, every, fastest, v2_max, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
         limits = found[block]

@@ -14,8 +14,8 @@ dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| are relative to the c
 the uniform field, so a scene that moves or falls as a whole takes the same steps. With planes, walls or fixed bodies,
 speeds are relative to these, and accelerations include the field. The reference engine (docs/validation.md) ignores the
 acceleration, uses absolute speeds, and uses the radius of the *fastest* body only, so a small body that is slightly
-slower tunnels. This limit is available as "fastest-body". The reference engine also smooths decreases, which
-violates the bound of a limit. In carom a decrease takes effect at once.
+slower tunnels. Its limit is available as "fastest-body". The reference engine also smooths decreases, so that its steps
+can exceed the limit. In carom a decrease takes effect at once.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Timestep:
     Parameters
     ----------
     time, limits
-        The scene's section, and the limits of its steps.
+        The scene's section ``time``, and the limits of its steps.
     field
         (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
     anchored
@@ -90,8 +90,8 @@ class Timestep:
     def choose(self, bodies: Bodies, remaining: float, supported: FloatArray = NO_SUPPORT) -> tuple[float, str]:
         """Return the next step (s), and the limit that set it, one of `LIMIT_NAMES`.
 
-        The last step is cut to end after the remaining time (s). Lasting contacts support the accelerations
-        ``supported``, (n + p,) m/s²; it is empty if there are none.
+        The last step is cut to end after the remaining time (s). ``supported``, (n + p,) m/s², are the accelerations
+        that lasting contacts support; it is empty if there are none.
         """
         if self.fixed_dt is not None:
             dt, limit, _ = smooth_and_cut(self.fixed_dt, FIXED, 1.0, 0.0, remaining)

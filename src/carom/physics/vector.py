@@ -1,6 +1,6 @@
-"""Vectors in kernels: rows of (n, 3) arrays by name, and separations in a periodic box.
+"""Vectors in kernels: operations on rows of (n, 3) arrays, and separations in a periodic box.
 
-The functions are inlined: they are as fast as indices, and give the same bits.
+The functions are inlined: they are as fast as indexing, and give the same bits.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def vector(v: FloatArray, i: int) -> Vector:
 
 @inline
 def between(v: FloatArray, i: int, j: int) -> Vector:
-    """Return the difference from vector i to vector j."""
+    """Return vector j minus vector i."""
     return v[j, 0] - v[i, 0], v[j, 1] - v[i, 1], v[j, 2] - v[i, 2]
 
 

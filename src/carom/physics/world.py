@@ -67,7 +67,7 @@ class Clock:
 
 
 def _remedy(scene: Scene, limit: str) -> str:
-    """Return the remedy for steps that are too short to change the clock, by the limit that sets them."""
+    """Return the remedy for steps that are too short to change the clock, given the limit that sets them."""
     if limit in _CLOSE:
         return _CLOSE[limit]
     raised = remedies_of(scene).get(limit)

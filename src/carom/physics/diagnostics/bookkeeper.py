@@ -43,8 +43,8 @@ class BalanceAudit:
     """Energy and momentum at the last frame or check, compared with their values at the start of the run.
 
     ``uniform``, (3,) m/s², is the acceleration that is the same for all bodies, and ``constant`` (J) is the
-    gravitational energy between fixed bodies. ``losses`` are the ledger's entries for forces without a potential and
-    optional parts, and ``pressing`` (J) is the work of loads along a radius.
+    gravitational energy between fixed bodies. ``losses`` names the ledger's entries for forces without a potential and
+    for optional parts. ``pressing`` (J) is the work of loads over a distance of one radius.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class BalanceAudit:
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
-        """Adopt the reference values of a recorded start if they differ only by rounding; return whether any does.
+        """Adopt recorded reference values that differ from this run's only by rounding; return whether any does.
 
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.
@@ -160,7 +160,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        Warnings list contacts that may have changed the energy: the copied ones, and the contacts in ``contact``.
+        Warnings list contacts that may have changed the energy: those that `suspect` copied, and those of ``contact``.
         """
 
         def suspects() -> list[Suspects]:
@@ -173,7 +173,7 @@ class BalanceAudit:
 
 
 def _nearly(recorded: float, own: float, size: float) -> float:
-    """Return the recorded value if it differs from the computed one by rounding, otherwise the computed one."""
+    """Return the recorded value if it differs from this run's value only by rounding; otherwise this run's value."""
     return recorded if abs(recorded - own) <= ROUNDING * size else own
 
 
@@ -192,14 +192,14 @@ class Bookkeeper:
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
         self.impulse_audit = world.step.audit = ImpulseAudit(bodies, world.contact) if audited else None
-        # parts use it around changes of velocities that are neither plain kicks nor impulses of contacts
+        # parts enter this context to change velocities other than by plain kicks or by impulses of contacts
         self.change: AbstractContextManager[None] = self.impulse_audit or nullcontext()
         self.pace: PaceMonitor | None = None  # None unless limits set the steps
         self._events: list[Event] = []
         # s, time up to which the accuracy is promised; infinite without a promise, or once the end is logged
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
-            self._measure_contacts(world.contact, Extremes())  # without contacts, this only loads the kernels
+            self._measure_contacts(world.contact, Extremes())  # with no contacts yet, this only loads the kernels
 
     @property
     def state(self) -> Books:
@@ -247,7 +247,7 @@ class Bookkeeper:
             self.audit.suspect(step, contact)
 
     def begin_contacts(self, judged: bool = False) -> None:
-        """Begin the contacts of a step, after the clock has advanced; if ``judged``, they are judged at its end."""
+        """Begin the contacts of a step, after the clock has advanced; ``judged``: whether it ends with a check."""
         clock, contact = self._world.clock, self._world.contact
         if contact:
             contact.signs.begin(clock.step, clock.time, judged)
@@ -255,7 +255,7 @@ class Bookkeeper:
             begin(clock.step, clock.before, clock.time)
 
     def finish_step(self, potentials: Potentials, computed: bool, judged: bool) -> None:
-        """Book the contacts of a step; if due, compute energy and momentum, and judge their errors."""
+        """Book the contacts of a step; if due, compute energy and momentum, and check their errors."""
         contact = self._world.contact
         if contact:
             self._book_contacts(contact)
@@ -277,7 +277,7 @@ class Bookkeeper:
         return time >= self.kept_until if ends_early else time > self.kept_until
 
     def steady_totals(self) -> dict[str, float]:
-        """Return the totals that steps with the same contacts change, by the fields of `TOTALS`."""
+        """Return the totals that steps with unchanged contacts update, keyed by the fields of `TOTALS`."""
         ledger, extremes = self.audit.ledger, self.extremes
         assert extremes.contacts and extremes.overlap, "a step with contacts has been booked"
         return {
@@ -290,7 +290,7 @@ class Bookkeeper:
         }
 
     def book_steady_steps(self, totals: Records) -> None:
-        """Book steps with the same contacts, given their totals."""
+        """Book steps with unchanged contacts, given their totals."""
         audit, extremes, activity = self.audit, self.extremes, self.activity
         T = totals[0]
         restitution, friction, stabilisation = (float(T[term]) for term in ("restitution", "friction", "stabilisation"))
@@ -304,7 +304,7 @@ class Bookkeeper:
         activity.impact_energy = float(T["impact_energy"])
 
     def check_pace(self, dt: float, limit: str) -> None:
-        """Warn if the next step, of dt seconds, and the recent ones are much shorter than the first."""
+        """Warn if the next step, of dt seconds, and the recent steps are much shorter than the first step."""
         clock = self._world.clock
         warning = self.pace.check(clock.step, clock.time, dt, limit) if self.pace else None
         if warning:
@@ -313,8 +313,8 @@ class Bookkeeper:
     def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum.
 
-        If ``judged``, errors enter the verdict on the run and the warnings, which list the copied contacts and the
-        contacts in ``contact``. A computation for a frame alone does not change the books.
+        If ``judged``, errors enter the verdict on the run and cause warnings, which list the contacts that
+        `suspect_contacts` copied and those of ``contact``. A computation for a frame alone does not change the books.
         """
         world, clock = self._world, self._world.clock
         try:
@@ -337,7 +337,7 @@ class Bookkeeper:
 
     @property
     def _roundings(self) -> int:
-        """The number of roundings of a body's velocity so far: the number of steps and impacts."""
+        """How often a body's velocity may have been rounded so far: once in each step and each impact."""
         return self._world.clock.step + self.extremes.impacts
 
     def _judge_dissipation(self, signs: SignsOfDissipation) -> None:
@@ -388,7 +388,7 @@ class Bookkeeper:
 
 
 def end_of_promise(scene: Scene, step: int, time: float) -> Event:
-    """Return the event that the promised accuracy ends."""
+    """Return the event that reports the end of the promised accuracy."""
     promise = scene.promise
     assert promise is not None
     units = scene.unit_system

@@ -1,15 +1,15 @@
 """Signs of dissipation: contacts may remove energy only as their law says.
 
-The ledger and the energy agree whatever an impulse does, so they cannot show that a contact wrongly dissipates. Four
+The ledger and the energy agree whatever an impulse does, so they cannot reveal a contact that dissipates wrongly. Four
 statements can be tested (docs/physics.md, section 11):
 
 - an impact at its own time removes ½ μ (1 - e²) v_n², no more and no less;
-- an impact that no force turns back within the step rebounds, however slow it is;
+- an impact rebounds, however slow it is, unless a force closes the contact again within the step;
 - friction adds no energy, in an impact or to an island;
 - friction that holds does no work.
 
-Impacts are judged in every step, lasting contacts in the steps of the checks. Lasting contacts are judged by island,
-because the energy of a change of impulses cannot be divided uniquely among the contacts of a pile.
+Impacts are tested in every step, lasting contacts in steps that end with a check. Lasting contacts are tested by
+island, because the energy of a change of impulses cannot be divided uniquely among the contacts of a pile.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from carom.physics.contact.solver.contact_solver import ContactSolver
     from carom.physics.contact.solver.prepare import ImpulseCache
 
-RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # names of the statements above when they are violated
+RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # the four statements above, as indices of arrays
 WRONG = (
     "Impacts have not removed the energy that the coefficient of restitution says",
     "Impacts that no force presses together have ended without their rebound",
@@ -56,15 +56,15 @@ WRONG = (
 # Tolerance as a fraction of the energy of an impact, ½ μ v_n². The actual and the required loss follow from one closing
 # speed, so they differ only by rounding.
 ROUNDED = 1e-9
-# Tolerance as a fraction of the magnitudes of the works in both kicks of a step; for friction that holds, these works
-# cancel. The remainder is of the order of the angle by which normals and loads turn in a step, at most 0.2. A work of
-# first order in the step does not cancel at all.
+# Tolerance as a fraction of the summed magnitudes of friction's work in both kicks of a step. If friction holds, the
+# works in the two kicks cancel. The remainder is of the order of the angle by which normals and loads turn in a step,
+# at most 0.2 rad. Wrong work of first order in the step does not cancel at all.
 CANCELLED = 0.25
-LARGEST_TURN = 0.2  # rad, largest turn of a normal in a step; islands that turn further are not judged
-# relative difference of the kicks' lengths; with drag the lengths differ, but the works cancel nevertheless
+LARGEST_TURN = 0.2  # rad, largest turn of a normal in a step; islands that turn further are not tested
+# largest relative difference of the two kicks' lengths; with drag the lengths differ, but the works still cancel
 ALIKE = 0.1
-SLOWEST = 1e-100  # m/s, replaces 0 for a contact of a held group that does not close
-# smallest violation, relative to the energy scale; sweeps that end early leave less in every extreme scene
+SLOWEST = 1e-100  # m/s, replaces a closing speed of 0 in a held group
+# smallest violation that is reported, relative to the energy scale; sweeps that end early cause less in all extremes
 SIGNIFICANT = 1e-6
 
 _ROUNDED = np.array([ROUNDED])
@@ -72,7 +72,7 @@ _IDLE, _STUCK, _OTHER = 1, 2, 4  # bits that describe a contact in the kicks
 
 
 class WrongWorkRecord(Protocol):
-    """The energy that contacts moved against one of the statements."""
+    """The energy that contacts moved in violation of one of the statements."""
 
     energy: float  # J, energy so far
     worst: float  # J, largest violation by a single contact in a step
@@ -103,17 +103,17 @@ class JudgedEnds(NamedTuple):
     places: IntArray
     inverse_mass: FloatArray  # (n + p,) 1/kg
     bodies: int  # n
-    walls_move: bool  # whether walls move: accelerating walls press bodies, so impacts at walls may stop
-    walls_curve: bool  # whether walls curve: a body that follows a curved wall closes at the end of a step
+    walls_move: bool  # whether walls move: an accelerating wall presses on bodies, so impacts on it need not rebound
+    walls_curve: bool  # whether walls curve: a body that follows a curved wall approaches it at the end of a step
 
 
 class SignsOfDissipation:
-    """Judges the energy that the contacts of a run dissipate.
+    """Tests the energy that the contacts of a run dissipate.
 
     Parameters
     ----------
     holds
-        Whether the friction of sticking contacts is judged. This requires that no wall or image moves, since their
+        Whether the friction of sticking contacts is tested. This requires that no wall or image moves, since their
         velocity changes the slip, and that the solver makes enough sweeps to stop the slip.
     planes
         The planes and walls of the run.
@@ -152,7 +152,7 @@ class SignsOfDissipation:
         return tuple(WrongWork(energy, worst, (i, j), *moment) for energy, worst, i, j, *moment in entries)
 
     def recall(self, memory: tuple[WrongWork, ...]) -> None:
-        """Return to an earlier `memory`."""
+        """Restore an earlier `memory`."""
         self.rows[:] = 0
         self.any = len(memory) > 0  # whether anything was wrong
         self._told = [False] * len(WRONG)
@@ -162,9 +162,9 @@ class SignsOfDissipation:
         self._known = float(self.rows["energy"].sum())  # J, energy of the rows at the last check
 
     def before_hold(self, contacts: OrderedContacts, solver: ContactSolver, last: ImpulseCache) -> None:
-        """Note the contacts' behaviour in the last kick, before the first kick of a judged step.
+        """Note the contacts' behaviour in the last kick, before the first kick of a tested step.
 
-        Contacts' records in ``solver`` have the same impulses, except after a checkpoint.
+        The records in ``solver`` have the same impulses as ``last``, except after a checkpoint.
         """
         self._held = np.zeros(len(contacts.pairs), HELD)
         held = contacts.pairs, contacts.order.place, solver.states
@@ -179,7 +179,7 @@ class SignsOfDissipation:
         note(*asked)
 
     def judge_impacts(self, impacts: Impacts, dt: float, loads: RecordArray[LoadRecord]) -> None:
-        """Judge the impacts during a drift of dt (s), given the loads of the bodies in the first kick.
+        """Test the impacts during a drift of dt (s), given the loads of the bodies in the first kick.
 
         If walls load contacts more than accelerations do, dt is longer by the same factor (`NearPairs.loading`).
         """
@@ -191,7 +191,7 @@ class SignsOfDissipation:
     def judge_contacts(
         self, contacts: OrderedContacts, solver: ContactSolver, impacts: Impacts, dt: float, kick: float
     ) -> None:
-        """Judge the contacts at the end of a step of dt (s) whose energy is checked, after a last kick (s)."""
+        """Test the contacts at the end of a step of dt (s) that ends with a check, after a last kick (s)."""
         alike = abs(kick - self._kick) <= ALIKE * self._kick
         resolved = contacts.pairs, contacts.order.place, solver.contacts, solver.states, impacts.pairs
         held = self._held_pairs, self._held, alike, alike and self._holds
@@ -202,7 +202,7 @@ class SignsOfDissipation:
         self.any |= judge(*asked)
 
     def error(self, scale: float) -> Extreme | None:
-        """Return the sum of all wrong work over a scale (J), with the moment of the largest; None if nothing is new."""
+        """Return all wrong work divided by a scale (J), and the time of the worst violation; None if nothing is new."""
         if not self.any:
             return None
         total = float(self.rows["energy"].sum())
@@ -214,7 +214,7 @@ class SignsOfDissipation:
         return Extreme(total / scale if scale > 0.0 else 1.0, int(worst["step"]), float(worst["time"]), pair)
 
     def warnings(self, scale: float, names: Names, units: UnitSystem) -> list[Event]:
-        """Return the warnings at a check, one for each statement that has become wrong, given the energy scale (J)."""
+        """Return the warnings at a check, one for each newly violated statement, given the energy scale (J)."""
         found = []
         for k in np.flatnonzero(self.rows["energy"] > SIGNIFICANT * scale).tolist():
             if not self._told[k]:
@@ -308,12 +308,12 @@ def judge_impacts(
 ) -> bool:
     """Compare the loss of each impact with the loss that its closing speed requires; return whether any is wrong.
 
-    ``tolerance``, for each impact or for all, is the allowed error relative to ½ μ v_n².
-    The impulses of a held group act at one time, so only the sum of their energies has a meaning.
+    ``tolerance`` is the allowed error relative to ½ μ v_n², one value for each impact or one for all impacts. The
+    impulses of a held group act at one time, so only the sum of their energies has a meaning.
     """
     rows, places, inverse_mass, bodies, walls_move, _ = ends
     dt, acceleration, loads = pressed
-    impacts, found = places[:0, 0], False  # counted if necessary
+    impacts, found = places[:0, 0], False  # impacts of each body, counted if necessary
     together, largest, a, b = 0.0, 0.0, 0, 0
     for row in range(len(log)):
         entry = log[row]
@@ -340,7 +340,7 @@ def judge_impacts(
             normal = entry.nx, entry.ny, entry.nz
             if may_stop or not v > PER_STEP * dt * pressing(i, j, normal, acceleration, loads):
                 continue
-        if not e >= 1.0 and len(impacts) == 0:  # true if e is unknown, too
+        if not e >= 1.0 and len(impacts) == 0:  # also true if e is unknown
             impacts = _count_impacts(log, bodies)
         most = 0 if e >= 1.0 else max(impacts[i], impacts[j] if j < bodies else 0)
         if is_impact and most < MAX_IN_COLLAPSE:
@@ -374,10 +374,10 @@ def judge_contacts(
     now: tuple[int, float],
     wrong: RecordArray[WrongWorkRecord],
 ) -> bool:
-    """Judge the contacts at the end of a step: impacts that stop, elastic impacts, and the friction of each island.
+    """Test the contacts at the end of a step: impacts that stop, elastic impacts, and the friction of each island.
 
-    Return whether anything is wrong. An island is not judged if an impact or a lost contact has changed the kick before
-    the drift. The last element of ``resolved`` are the pairs of impacts during the drift.
+    Return whether anything is wrong. An island is not tested if an impact or a lost contact makes its two kicks differ.
+    The last element of ``resolved`` is the array of pairs with an impact during the drift.
     """
     pairs, place, contacts, states, struck_pairs = resolved
     step, time = now
@@ -458,7 +458,7 @@ def _turn(contact: ContactRecord, velocity: Vector, dt: float) -> float:
 
 @inline
 def _exclude(i: int, j: int, inverse_mass: FloatArray, island: IntArray, is_judged: FloatArray) -> None:
-    """Mark the islands of two ends as not to be judged."""
+    """Exclude the islands of two ends from the test."""
     if inverse_mass[i] > 0.0:
         is_judged[root_of(island, i)] = False
     if inverse_mass[j] > 0.0:

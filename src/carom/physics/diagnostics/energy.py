@@ -35,9 +35,9 @@ class EnergyAccount:
 
     - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
       start: the conserved total, minus the energy removed by contacts and drag, plus the energy added by stabilisation;
-    - the energy that the other forces and the spins exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
+    - the energy that the other forces and the spins exchanged with this total, |ΔE_field|, |drag| and |ΔE_rotational|;
     - Σ m |g| r, if there is a field, and ``pressing`` (J), the same energy for loads: bodies that rest on a plane have
-    no other energy.
+      no other energy.
 
     If kinetic and gravitational energy cancel at the start, as on a parabola, E_c is the sum of their magnitudes.
     Speeds in E_c are relative to fixed bodies and walls or, without these, relative to the centre of mass. E_c excludes
@@ -60,7 +60,7 @@ class EnergyAccount:
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
-        self._lift = float(lift) + pressing  # J, Σ m |g| r, and the work of loads along a radius
+        self._lift = float(lift) + pressing  # J, Σ m |g| r plus the work of loads over a radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(
@@ -73,8 +73,8 @@ class EnergyAccount:
     ) -> Energy:
         """Return the energy, given the potential energies of the forces; the first call sets the initial values.
 
-        ``judged`` marks a check; the scale of later checks is at least as large. ``roundings`` is the number of steps
-        and impacts so far, since each of these rounds velocities.
+        ``judged`` marks a check; the scale of later checks is at least as large as its scale. ``roundings`` is the
+        number of steps and impacts so far, since each of these rounds velocities.
         """
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)

@@ -23,7 +23,7 @@ from carom.state.books import MonitorState
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph
 
-MOST_CONTACTS = 6  # most contacts that a warning lists, the largest added energies first
+MOST_CONTACTS = 6  # most contacts that a warning lists, in descending order of added energy
 LOST = 0.1  # error relative to the energy scale, large enough to change the size and the period of an orbit
 MOST_WARNINGS = 100  # most warnings of rises in a run
 
@@ -153,7 +153,7 @@ def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
 
 
 def _remedy(integrator: Integrator) -> str:
-    """Return the keys that reduce the error of an integrator."""
+    """Return the sentence that says how to reduce the error of an integrator."""
     if integrator.hierarchical:
         return 'Use shorter steps (time.fixed_dt), or time.integrator = "gauss-radau15".'
     if integrator.controls_error:

@@ -1,4 +1,4 @@
-"""Updates the extremes of a run: by the contacts of every step, and by energy and momentum at the checks."""
+"""Updates the extremes of a run from the contacts of every step, and from energy and momentum at the checks."""
 
 from __future__ import annotations
 

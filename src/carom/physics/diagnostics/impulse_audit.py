@@ -5,7 +5,7 @@ For every body, in each step,
     Δv = Σ J/m + Σ a h,    Δω = Σ (ρ λ_t × n ± Λ) / I,    J = λ_n n + λ_t, which acts on j, and -J on i
 
 must hold with the impulses that the contact tap reports, and with the integrator's kicks a h. The change of the ledger
-is compared with the sum of the contacts' work. Drag multiplies velocities, so its effect is measured instead.
+is compared with the sum of the contacts' work. Drag multiplies velocities, so its effect is measured, not computed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class ImpulseAudit:
         self.add_force(acceleration * dt)
 
     def __enter__(self) -> None:
-        """Begin a change of velocities and spins that no impulse of a contact explains."""
+        """Begin a change of velocities and spins that is not due to impulses of contacts."""
         self._before = self._bodies.velocity.copy(), self._bodies.angular_velocity.copy()
 
     def __exit__(self, *error: object) -> None:
@@ -64,9 +64,9 @@ class ImpulseAudit:
         """Return the largest error, and the body to which it belongs, if any.
 
         Errors of velocities, and of spins times the radius, are relative to the largest speed in the step. The largest
-        speed includes, for each body, the sum of the magnitudes of its kicks and of J/m: impulses in a heavy pile may
-        cancel, but each impulse is rounded by itself. The change of the ledger in the step should be the sum of the
-        work of all contacts; errors are relative to the largest entry of the ledger.
+        speed includes the changes by kicks and, for each body, the sum of the magnitudes of J/m: impulses in a heavy
+        pile may cancel, but each impulse is rounded separately. The change of the ledger in the step should be the sum
+        of the work of all contacts; errors are relative to the largest entry of the ledger.
         """
         bodies, work = self._bodies, np.zeros((0, 3))
         if self._tap and self._contact:

@@ -1,7 +1,7 @@
 """The energy ledger: energy that contacts and forces removed from the bodies or added to them, by term.
 
 Kernels write each term of a contact into the field with the term's name. Arrays of all terms have one column per term,
-in this order.
+in the order of the fields.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ centre of mass X moves on a parabola:
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
 
 With drag, the impulses of the medium and the field are booked step by step instead. Planes, walls and fixed bodies
-absorb momentum; in such scenes, momenta are not compared.
+absorb momentum; in scenes that have any, momenta are not compared.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ class MomentumAccount:
         self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = TotalMotion.of(bodies)
         self._mass = float(bodies.mass.sum())
         moment = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0)
-        # at the start, all bodies may still wait to enter
+        # at the start, all bodies may still be waiting to enter
         self._centre = moment / self._mass if self._mass > 0.0 else moment
         self._baseline: MomentumBaseline | None = None  # None if the momentum has changed since the last access
 
@@ -166,7 +166,7 @@ class MomentumAccount:
     def balance(self, motion: TotalMotion, time: float, judged: bool = True) -> Momentum:
         """Return the momenta at a time since the start (s).
 
-        ``judged`` marks a check; the scales of later checks are at least as large.
+        ``judged`` marks a check; the scales of later checks are at least as large as its scales.
         """
         linear, angular, linear_scale, angular_scale, *_ = motion
         linear_scale, angular_scale = max(self._linear_scale, linear_scale), max(self._angular_scale, angular_scale)

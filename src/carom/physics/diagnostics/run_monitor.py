@@ -49,7 +49,7 @@ def refuse_many_crossings(
 ) -> None:
     """Refuse a step of dt (s) in which a body would cross a periodic box more than `MOST_CROSSINGS` times.
 
-    With each factor of 10 in the crossings, the position in the box loses a digit.
+    The position in the box loses a digit for each factor of 10 in the number of crossings.
     """
     turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
     if turns > MOST_CROSSINGS:
@@ -136,8 +136,8 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
     """Return, for each limit of the step, the scene key that gives fewer steps if it is raised.
 
     An accuracy replaces the keys that set the step. Without forces, steps with an accuracy already have their longest
-    useful length. Integrators that choose steps by their error use time.max_dt directly. Leapfrog, which computes
-    resting contacts for these integrators, also uses this key.
+    useful length. Integrators that choose steps by their error use time.max_dt directly. If contacts are possible, no
+    key is named, since leapfrog, which computes resting contacts for these integrators, also uses time.max_dt.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:
@@ -148,7 +148,7 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
 
 
 class PaceMonitor:
-    """Checks the step from time to time, and warns once if the run slows down; ``remedies`` are from `remedies_of`."""
+    """Checks the step from time to time, and warns once if the run slows down; ``remedies`` come from `remedies_of`."""
 
     def __init__(
         self, duration: float, first_dt: float, units: UnitSystem = SI, remedies: Mapping[str, str] = REMEDY
