@@ -1,4 +1,4 @@
-"""Stokes' drag in a medium that moves uniformly with the velocity u.
+"""Stokes drag in a medium that moves uniformly at velocity u.
 
     a = -(v - u)/τ
 
@@ -7,10 +7,10 @@ drift. With z = h/τ, E = e^{-z}, φ₁ = (1 - E)/z and φ₂ = (1 - φ₁)/z, a
 
     v += a k₁,   v *= φ₁,    x += v h,    v *= E/φ₁,   v += a' k₂        k₁ = h φ₂/φ₁,   k₂ = h (φ₁ - E φ₂/φ₁)
 
-Between the two factors, velocities are the mean velocities of the drift. Contacts are held there, and impacts happen on
-straight lines along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the kicks make
-the step exact for a constant acceleration; for τ → ∞, both lengths are h/2. The step is its own adjoint, hence of order
-2.
+Between the factors φ₁ and E/φ₁, velocities are the mean velocities of the drift. Contacts are held there, and impacts
+happen on straight lines along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the
+kicks make the step exact for a constant acceleration; for τ → ∞, both lengths are h/2. The step is its own adjoint,
+hence of order 2.
 
 The energy dissipated by the medium is the change of the energy in the step minus the work of the other forces
 (docs/physics.md, 6):
@@ -71,7 +71,7 @@ BEFORE, AFTER = range(2)  # rows of sums, before and after the drift
 
 
 class DragLaw(NamedTuple):
-    """The drag for kernels; `kick_before_drift` and the functions after it recognise drag by this type."""
+    """The drag for kernels; the functions of `carom.physics.integrators.kick_drift` recognise drag by this type."""
 
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
@@ -86,9 +86,10 @@ class DragLaw(NamedTuple):
 
 
 class StokesDrag(Damping):
-    """Slows all bodies down at one rate, relative to a medium; both a force and a part of a step, with its own kicks.
+    """Slows all bodies down at one rate, relative to a medium.
 
-    ``outer``, (3,) m/s², is the acceleration by other forces that is the same for all bodies.
+    It is both a force and a part of a step with its own kicks. ``outer``, (3,) m/s², is the acceleration by other
+    forces that is the same for all bodies.
     """
 
     kind = DRAG
@@ -116,7 +117,7 @@ class StokesDrag(Damping):
         return 0.0
 
     def lend(self, account: LedgerAccount) -> None:
-        """Let kernels continue the entry of the ledger."""
+        """Copy the ledger's entry, so that kernels can add to it."""
         self.law.exchanged[:] = account.exchanged(self.kind.loss)
 
     def settle(self, account: LedgerAccount) -> None:
@@ -154,7 +155,7 @@ class StokesDrag(Damping):
         self._before[:] = self._bodies.ends.velocity
 
     def struck(self, step: PresentStep) -> None:
-        """Add the exchange due to impacts, and the velocity changes by impacts besides their impulses."""
+        """Add the exchange due to impacts; report to the audit the changes of velocity beyond the impulses."""
         sums, ends, change = np.zeros(1, SUMS), self._bodies.ends, self._before.copy()
         state = change, ends.acceleration, ends.inverse_mass, self.uniform
         _exchange_in_impacts(step.impacts.log, step.impacts.after, *state, self._step, sums)

@@ -10,8 +10,8 @@ and a' by the force at its ends,
 
     W = Σ ½ m (a + a')·Δx
 
-This is the work of leapfrog's kicks, up to a term that remains bounded. If the integrator has a solution within its
-steps, Gauss–Legendre quadrature with five nodes integrates
+This is the work of leapfrog's kicks, up to a term that remains bounded. If the integrator has dense output,
+Gauss–Legendre quadrature with five nodes integrates
 
     W = Σ m ∫ a·v dt
 """
@@ -94,9 +94,9 @@ class ForceLaws(NamedTuple):
 
 
 class Damping(OptionalPart):
-    """A force that depends on velocities, and a part of a step with its own kicks."""
+    """A force that depends on velocities; as a part of a step, it makes its own kicks."""
 
-    law: tuple[Any, ...]  # parameters of the force for kernels, which recognise the force by their type
+    law: tuple[Any, ...]  # parameters of the force for kernels, which recognise the force by the type of this tuple
 
 
 class PathWork(OptionalPart):
@@ -125,7 +125,7 @@ class PathWork(OptionalPart):
         self._work += _work(self._bodies.mass, self._before, self._after, position - self._start)
 
     def follow(self, dt: float, solution: Callable[[float], tuple[FloatArray, FloatArray]]) -> None:
-        """Add the work of a step of dt seconds, given the solution within it.
+        """Add the work of a step of dt seconds, given its dense output.
 
         ``solution`` returns positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the step.
         """
@@ -174,7 +174,7 @@ class TotalForce:
         self._forces: list[Force] = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
         self._forces += [kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given]
         self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
-        # at most one force is a damping
+        # at most one force depends on velocities
         self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
         own = (force for force in self._forces if isinstance(force, KernelForce))
@@ -213,7 +213,7 @@ class TotalForce:
         return energies
 
     def potentials(self) -> Potentials:
-        """Return the potential energies of the present positions.
+        """Return the potential energies at the present positions.
 
         The accelerations do not change: in drift-kick-drift, accelerations belong to the middle of the step, and the
         choice of the next step must not depend on whether an energy is requested.

@@ -1,8 +1,8 @@
 """Forces of installed packages: `BodyForce` and `PairForce` of `carom.scene.forces`, in kernels.
 
 Every kernel that sums accelerations calls `add_forces` with a tuple of records that hold the parameters, one for each
-force. The type of a record names the force and a hash of its sources. Numba compiles a kernel, with the functions of
-the forces in it, for each tuple of types, and the kernel is stored on disk under these types. Without such forces, the
+force. The type of a record names the force and a hash of its sources. For each tuple of types, Numba compiles a kernel
+that contains the functions of the forces. The kernel is stored on disk under these types. Without such forces, the
 tuple is empty, and the call compiles to nothing.
 
 A body's terms are added in the order of their sources, whichever thread computes them, so all integrators and any
@@ -104,7 +104,7 @@ def parameters_of_all(scene: Scene) -> Parameters:
 def add_forces(
     forces: Parameters, lo: int, hi: int, x: FloatArray, m: FloatArray, box: FloatArray, a: FloatArray
 ) -> None:
-    """Add accelerations, (n, 3) m/s², of the bodies in [lo, hi), given records of `parameters_of`; for kernels.
+    """Add accelerations, (n, 3) m/s², of the bodies in [lo, hi), given records by `parameters_of`; for kernels.
 
     ``box``, (3,) m, is the size of a periodic box, or zeros.
     """

@@ -16,7 +16,7 @@ from carom.plan.features import Requirements
 from carom.scene.load import Scene
 from carom.state.checkpoint import IntegratorCheckpoint
 
-BY_LEAPFROG = -1.0  # value of ``last_dt`` once contacts came to rest and leapfrog took over
+BY_LEAPFROG = -1.0  # value of ``last_dt`` after contacts have come to rest and leapfrog has taken over
 
 
 class Meeting(NamedTuple):
@@ -27,7 +27,7 @@ class Meeting(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Steps taken in one call; none if bodies meet at their start."""
+    """Steps taken in one call; no steps if bodies meet at the start."""
 
     steps: int
     before: float  # s, time before the last step
@@ -42,7 +42,7 @@ class BatchIntegrator(Protocol):
 
     @property
     def next_dt(self) -> float:
-        """The next step in seconds."""
+        """The length of the next step in seconds."""
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint:
@@ -52,7 +52,7 @@ class BatchIntegrator(Protocol):
         """Start anew at the present positions and velocities, with a first step of about dt seconds."""
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Continue from a checkpoint with a step in s; without a checkpoint, start at the present state."""
+        """Continue from a checkpoint with a step of ``next_dt`` s; without a checkpoint, start at the present state."""
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
         """Take steps until a time or a number of steps is reached, or the run ends.

@@ -1,4 +1,4 @@
-"""Kernels of kicks, drifts and periodic boxes; the kernels for few bodies also include drag."""
+"""Kernels for kicks, drifts and periodic boxes; the kernels for few bodies also include drag."""
 
 from __future__ import annotations
 
@@ -75,13 +75,13 @@ def damped_step(damping: Any, length: float, kick: float, last_kick: float) -> D
 
 @_without_drag
 def kick_before_drift(damping: Any, bodies: KickedBodies, step: DampedStep, holds: bool) -> None:
-    """Kick before the drift of a step; ``holds``: whether contacts are held then."""
+    """Kick before the drift of a step; ``holds`` states whether contacts are held after the kick."""
     advance(0, len(bodies.v), bodies.v, bodies.a, step.first_kick)
 
 
 @_without_drag
 def measure_hold(damping: Any, bodies: KickedBodies, step: DampedStep) -> None:
-    """Compute the change of the energy lost to drag that holding the contacts caused."""
+    """Compute how much the energy lost to drag changes because contacts are held."""
 
 
 @_without_drag
@@ -92,4 +92,4 @@ def kick_after_drift(damping: Any, bodies: KickedBodies, step: DampedStep) -> No
 
 @_without_drag
 def book_exchange(damping: Any) -> None:
-    """Add the exchange of a step with the medium to `DragLaw.exchanged`."""
+    """Add a step's exchange with the medium to `DragLaw.exchanged`."""

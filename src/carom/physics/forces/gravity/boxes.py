@@ -2,15 +2,15 @@
 
 Each box tightly encloses its bodies. A box is halved in the middle of its longest side, and each half gets a tight box
 again, until boxes have at most `LEAF` bodies. For bodies in a cube this is Morton's (1966) order, and the sort is a
-radix sort from the most significant bit on. The boxes adapt to the bodies, so the sort works even if one body is far
-away, or thousands lie close to one point. Bodies at one point form one leaf, of any size.
+radix sort that starts with the most significant bit. The boxes adapt to the bodies, so the sort works even if one body
+is far away, or thousands lie close to one point. Bodies at one point form one leaf, of any size.
 
 The boxes are in preorder: a box, then all boxes in it. A walk continues with the next box to open a box, and with
 ``skip[box]`` to pass over it.
 
-Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest), because they split a
-box that is a little too large into eight, and take a tenth to a third more time for the same error; keys of 21 bits per
-coordinate, because they must be recomputed for bodies that share a key.
+Rejected, at 10⁵ bodies: octrees (boxes halved along every side longer than 0.5 or 0.7 of the longest side), because
+they split a box that is a little too large into eight, and take a tenth to a third more time for the same error; keys
+of 21 bits per coordinate, because they must be recomputed for bodies that share a key.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
-# most bodies that a thread sorts alone; of a larger range, it queues half for other threads
+# most bodies that a thread sorts alone; it queues half of a larger range for other threads
 GRAIN = 2048
 MIN_BODIES_PER_TASK = 20_000  # bodies per copying task
 
@@ -112,7 +112,7 @@ class Boxes:
     def sort(self, position: FloatArray) -> None:
         """Sort the bodies at (n, 3) m into boxes."""
         n = len(position)
-        # the order before the sort is the same in every step
+        # in every step, the sort starts from the order of the scene
         self._team.divide(n, MIN_BODIES_PER_TASK, _lay_out, position, self._sorting.rows)
         _begin(self._queue, n)
         arrays = self._queue, self._mass, self._sorting, self._sorted, self._ranges
@@ -155,10 +155,10 @@ def _sort(
 
     A range of k bodies has space for 2 k - 1 boxes, the largest possible number. The range can therefore be sorted
     while the number of boxes in earlier ranges is still unknown. At the first box of a range, ``skip`` temporarily
-    holds the number of its boxes, or 0 if a box was halved and its halves were queued separately.
+    holds the number of boxes in the range, or 0 if a box was halved and its halves were queued separately.
 
-    The function is not divided, because each call with arrays as arguments counts references in memory that all threads
-    write to. With calls, the sort took 1.5 times as long.
+    The function is not split into smaller ones, because each call that passes arrays updates reference counts, in
+    memory that all threads write to. With such calls, the sort took 1.5 times as long.
     """
     rows, spare, stack, counters = sorting.rows, sorting.spare, sorting.stacks[lo], queue.counters
     x, m, body = bodies.x, bodies.m, bodies.body
@@ -228,7 +228,7 @@ def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: flo
     if bz - az > high - low:
         axis, low, high = 2, az, bz
     middle = low + 0.5 * (high - low)
-    return axis, middle if middle > low else high  # the higher of two neighbouring numbers separates the halves
+    return axis, middle if middle > low else high  # if low and high are neighbouring numbers, high separates the halves
 
 
 @long_kernel

@@ -10,13 +10,13 @@ every sum: the bits are the same at any SIMD width and any number of threads.
 Up to 32 bodies form one block, without lanes: `sum_few` computes each pair once and adds in the same order, with the
 same bits. Three bodies take 20 ns instead of 2 µs, 32 bodies take 2.8 µs instead of 5 µs.
 
-Directed pairs a second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which computes 2.7 × 10⁹ roots
-and divisions a second): 3.0, 3.2 and 3.4 × 10⁹.
+Directed pairs per second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which computes 2.7 × 10⁹ roots
+and divisions per second): 3.0, 3.2 and 3.4 × 10⁹.
 
 Rejected: each body summing over all others (2.4 × 10⁹; faster below 200 bodies, by a microsecond); one source at a time
-(2.3, 2.9 and 3.2 × 10⁹; two share the loads and stores of the lanes); sums in arrays passed as arguments (2.5 × 10⁹ at
-most, because the compiler must assume that they overlap); approximate reciprocal roots (slower, with other bits); a
-reduction over sources (other bits).
+(2.3, 2.9 and 3.2 × 10⁹; two sources share the loads and stores of the lanes); sums in arrays passed as arguments (2.5 ×
+10⁹ at most, because the compiler must assume that they overlap); approximate reciprocal roots (slower, with other
+bits); a reduction over sources (other bits).
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
 MAX_IN_ONE_BLOCK = LANES  # most bodies in a single block
-# with fewer bodies, waking threads costs the time that it saves, and the recorder needs the other core
+# with fewer bodies, waking threads costs as much time as it saves, and the recorder needs the other core
 PARALLEL_FROM = 2048
-SLABS = 16  # number of slabs of equal work, each with its own sums; more threads cannot share a sum
+SLABS = 16  # number of slabs of equal work, each with its own sums; more threads than slabs cannot be used
 
 
 class DirectGravity:
@@ -76,13 +76,13 @@ class DirectGravity:
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> DirectGravity:
-    """Return the direct sum for a scene's section."""
+    """Return the direct sum for a scene's gravity section."""
     return DirectGravity(mass, gravity.constant, gravity.softening, team)
 
 
 @kernel
 def _lanes(count: int) -> FloatArray:
-    """Allocate floats that begin on a cache line; lanes that straddle two lines take twice as long.
+    """Allocate floats that are aligned to a cache line; lanes that straddle two lines take twice as long.
 
     The kernel itself allocates the lanes, so that the compiler knows that they do not overlap. This function is not
     inlined: a dozen copies would take half a second to compile.

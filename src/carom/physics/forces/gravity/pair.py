@@ -18,7 +18,7 @@ from carom.physics.jit.decorators import inline
 
 @inline
 def attraction(gm: float, r2: float) -> float:
-    """Return gm / R³: times d, the acceleration by a body with G m = ``gm``; times -R², its potential.
+    """Return gm / R³. Times d, it is the acceleration by a body with G m = ``gm``; times -R², the body's potential.
 
     The result is 0 for coincident bodies without softening.
     """

@@ -12,13 +12,13 @@ With d = X - x, R² = d² + ε²:
     a = G [ (M/R³ + (5/2 dᵀQd/R² - tr Q/2)/R⁵) d - Q d/R⁵ ]
     φ = -G [ M/R + (1/2 dᵀQd/R² - tr Q/6)/R³ ]
 
-a is -∇φ, for any softening ε. Without quadrupoles, Q = 0. The opening angle θ determines the error of the forces
+Here a = -∇φ, for any softening ε. Without quadrupoles, Q = 0. The opening angle θ determines the error of the forces
 (measured in docs/physics.md), and the error of the total momentum, because the two forces of a pair are not opposite.
 
 The bodies of a group are in the SIMD lanes, and boxes and bodies are added one after another, so the bits depend
 neither on the SIMD width nor on the threads. Each thread takes the next piece of work until none is left, so all
-threads end at about the same time. Pieces assigned in advance would be uneven, because bodies in dense regions take far
-longer than others.
+threads end at about the same time. Pieces assigned in advance would take different times, because bodies in dense
+regions take far longer than others.
 """
 
 from __future__ import annotations
@@ -340,6 +340,6 @@ class TreeGravity:
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> TreeGravity:
-    """Return the tree for a scene's section."""
+    """Return the tree for a scene's gravity section."""
     accuracy = gravity.opening_angle, gravity.quadrupoles
     return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, team)

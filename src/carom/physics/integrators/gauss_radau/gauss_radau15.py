@@ -14,16 +14,16 @@ previous step. Newton's form
 
 lets each node determine one g. All terms after g_{s-1} vanish at h_s, so the residual of the polynomial there is the
 error of g_{s-1} times h_s (h_s - h₁) … (h_s - h_{s-1}). With compensated summation, the energy error of a planetary
-system is a random walk of the last bit (Rein & Spiegel 2015).
+system is a random walk in the last bit (Rein & Spiegel 2015).
 
-The next step is a fraction η of the shortest time in which the acceleration of a body changes, from its first three
-derivatives at the end of the step (Pham, Rein & Spiegel 2024; Aarseth 1985):
+The next step is a fraction η of the shortest time in which the acceleration of a body changes. This time follows from
+the acceleration's first three derivatives at the end of the step (Pham, Rein & Spiegel 2024; Aarseth 1985):
 
     T' = η min_i max(τ_i, τ'_i / 4),        η = (5040 ε)^{1/7}, ε = 10⁻⁹
     τ_i = √(2 a² / (ȧ² + a ä)),             τ'_i = √((a ä + ȧ²) / (ȧ a⃛ + ä²))
 
-τ alone vanishes where an acceleration passes through 0, as in the figure eight, which would take five times as many
-steps.
+τ vanishes where an acceleration passes through 0, as on the figure-eight orbit. With τ alone, this orbit would take
+five times as many steps.
 
 The estimate uses only sums, products, quotients and square roots, so the bits are the same on any processor.
 """
@@ -70,7 +70,7 @@ from carom.scene.start import half_spaces
 from carom.state.checkpoint import IntegratorCheckpoint
 
 STEP_FRACTION = 0.17506702932189996  # η
-# largest growth of the step after an impact, since velocities before the impact differ
+# the step after an impact is repeated if it is too long by more than this factor, since velocities have changed
 LARGEST_CHANGE_AFTER_IMPACT = 1.5
 # most corrections to the length of a step that ends at an impact; two are enough to reach rounding
 MOST_CORRECTIONS = 4
@@ -108,12 +108,12 @@ class GaussRadau15:
 
     @property
     def next_dt(self) -> float:
-        """The next step in seconds."""
+        """The length of the next step in seconds."""
         return float(self._progress["next_dt"][0])
 
     @property
     def last_dt(self) -> float:
-        """The last step in seconds."""
+        """The length of the last step in seconds."""
         return float(self._progress["last_dt"][0])
 
     @property
@@ -148,7 +148,7 @@ class GaussRadau15:
         a = motion.start + motion.field * motion.moves[:, np.newaxis]
         b = motion.accepted.reshape(*a.shape, WIDTH)[..., :TERMS]
         k = np.arange(TERMS)
-        # powers h, h²…; written out, since matrix products and `pow` have other bits on other processors
+        # powers h, h²…; written out, since the bits of matrix products and `pow` differ between processors
         powers = np.cumprod(np.full(TERMS + 2, h))
         turned = dt * ((1.0 - h) * a + (b * ((1.0 - powers[1:-1]) / (k + 2))).sum(axis=-1))
         v = self._arrival - turned
@@ -165,7 +165,7 @@ class GaussRadau15:
         return IntegratorCheckpoint(last_dt, *compensations, motion.accepted.copy(), motion.correction.copy())
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Continue from a checkpoint with a step in s; without a checkpoint, start anew."""
+        """Continue from a checkpoint with a step of ``next_dt`` s; without a checkpoint, start anew."""
         motion = self._motion
         self.begin(next_dt)
         if checkpoint is None:

@@ -1,4 +1,4 @@
-"""The first impact within a step of Gauss–Radau integration, on the polynomials of its bodies.
+"""The first impact within a step of Gauss–Radau integration, found from the polynomials of the bodies.
 
 Let d(h) be the separation of two bodies, or of a body and a plane, and R the distance at which they touch. With f = d²
 - R² and g = d·d' = f'/2, an impact is the first h in [0, 1] at which f ≤ 0 and g < 0: the two touch and close.
@@ -14,7 +14,8 @@ conditions holds, with M ≥ |d''| and K ≥ |g''|:
 The first impact is therefore found however short or grazing it is. The step is then repeated so that it ends at that
 root, because the polynomial has a lower order within a step than at its end.
 
-A contact comes to rest if forces press it together so that the next impact follows within `REST` of the step.
+A contact comes to rest if forces press it together so strongly that the next impact would follow within a fraction
+`REST` of the step.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ TOUCHING = 8 * 2.0**-53  # largest gap, relative to the coordinates and R, that 
 SLACK = 1.0 + 1e-9  # allowance for the rounding of the bounds
 NARROWEST = 2.0**-44  # an overlap for a shorter fraction of a step is a grazing pass
 MOST_INTERVALS = 20_000  # most intervals; a contact that needs more is at rest, up to rounding
-REST = 1e-6  # fraction of a step: the shortest flight between impacts, at most 10⁻¹⁴ R high, near rounding
+REST = 1e-6  # shortest flight between impacts, as a fraction of a step; it is at most 10⁻¹⁴ R high, near rounding
 NONE = np.inf  # no impact
 AT_REST = -1.0  # marks a contact that forces press together
 
@@ -90,7 +91,7 @@ def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float,
 def _earlier(
     i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
 ) -> float:
-    """Return the earlier of two impacts, the first one so far and a pair's first one, and note the pair."""
+    """Return the earlier of the first impact so far and a pair's first impact; note the pair if it is earlier."""
     v, distance = motion.velocity, R  # m, R plus the distances by which both bodies move
     for k in range(3):
         distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
@@ -213,8 +214,8 @@ def _bounds(path: FloatArray) -> tuple[float, float, float]:
 def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> float:
     """Return the first h at which bodies touch and close, `NONE` or `AT_REST`, with lengths in m.
 
-    ``path``, (COEFFICIENTS, 3), is d, ``gap`` is the rounding of d, and ``negligible`` is the change of d by a closing
-    speed that is due to rounding.
+    ``path``, (COEFFICIENTS, 3), is d, ``gap`` is the rounding of d, and ``negligible`` is the largest change of d by a
+    closing speed that counts as rounding.
     """
     fastest, M, third = _bounds(path)
     still = negligible * R
@@ -252,7 +253,7 @@ def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> fl
 
 @inner
 def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
-    """Return the root of the falling d² - R² in [a, b], by Newton's method and bisection."""
+    """Return the root of d² - R², which falls in [a, b], by Newton's method and bisection."""
     h = 0.5 * (a + b)
     for _ in range(100):
         d2, g, _, _ = _at(path, h)
@@ -272,7 +273,7 @@ def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
 
 @inner
 def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> float:
-    """Return the change (s) of the step after which a closing pair would touch at the end of the step."""
+    """Return the change (s) of the step's length with which a closing pair would touch at the end of the step."""
     n = len(motion.position)
     if j < n:
         _lay_pair(motion, solids.path, i, j, dt)

@@ -32,15 +32,15 @@ NODES = tuple(
 )
 TERMS = 7  # terms b₀ to b₆ of the polynomial
 WIDTH = 8  # length of a row: the terms and a 0 fill a cache line
-LANES_FROM = 16  # number of bodies from which SIMD lanes are used
+LANES_FROM = 16  # smallest number of bodies for which SIMD lanes are used
 # an acceleration passes through 0 if (τ / τ')² is below this, which never happens on Kepler orbits up to e = 0.99
 PASSING = 1.0 / 16.0
-LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step that is too long by more is repeated
+LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step that is too long by a larger factor is repeated
 SHRINKING = 2.0  # a step is repeated again only if the ratio of wanted to tried step has risen by this factor
 MAX_ITERATIONS = 12  # most iterations of a step; rounding keeps some steps from converging
 CONVERGED = 1e-16  # tolerated residual at a node, relative to the largest acceleration: half a last bit
-# Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9, these residuals add less to
-# the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
+# Refinements, and the residual that is tolerated below each. On orbits of eccentricity 0.05 to 0.9, these residuals add
+# less to the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
 LONGER = ((2.0**-1.75, 1e-9), (2.0**-1.25, 1e-11), (2.0**-0.25, 1e-12))
 
 
@@ -83,7 +83,7 @@ class ProgressRecord(Protocol):
     steps: int
     limit: int  # index into `LIMITS`
     iterations: int
-    after_impact: bool  # whether the last step ended at an impact, so that it predicts nothing
+    after_impact: bool  # whether the last step ended at an impact, so that the next step cannot be predicted
     meets: bool  # whether bodies meet at the end of the last step
     rests: bool  # whether the contact of these bodies is at rest
     i: int  # both ends that meet: bodies, or n + p for plane p
@@ -169,7 +169,7 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 
 @inner
 def attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float, change: float) -> tuple[float, float]:
-    """Compute the polynomial of a step, shortened while it is too long by more than a factor ``change``.
+    """Compute the polynomial of a step, which is shortened while it is too long by more than a factor ``change``.
 
     Return the step's length and the longest possible next step, in s.
     """
@@ -207,7 +207,7 @@ def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> Non
 def _converge(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> None:
     """Iterate until the polynomial agrees with the accelerations at the nodes, to the tolerance of the run.
 
-    The twin gets the polynomial before the last iteration.
+    The twin gets the polynomial as it was before the last iteration.
     """
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
@@ -285,7 +285,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
 
 @inner
 def next_step(motion: Motion, dt: float, fraction: float) -> float:
-    """Return the next step (s), a fraction of the shortest time in which an acceleration changes at the end."""
+    """Return the next step (s), a fraction of the shortest time in which an acceleration changes at the step's end."""
     start, b = motion.start, motion.b
     shortest = np.inf
     for i in range(len(start)):
@@ -364,9 +364,9 @@ def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -
 
 @inner
 def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray) -> None:
-    """Sum in the same order, with the same bits; the roots and divisions of a body are in SIMD lanes.
+    """Sum as `_accelerate_few` does, with the same bits; the roots and divisions of a body are in SIMD lanes.
 
-    This form takes 0.64 of the time of sums pair by pair at 30 bodies, 0.44 at 100, and more time below 16.
+    This form takes 0.64 times as long as `_accelerate_few` at 30 bodies, 0.44 times at 100, and longer below 16.
     """
     n = len(x)
     X, Y, Z, d3 = lanes[0], lanes[1], lanes[2], lanes[3]
@@ -389,9 +389,9 @@ def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, 
 def tolerance(refinement: float) -> float:
     """Return the residual at a node, relative to the largest acceleration, at which iterations end.
 
-    Steps that are `refinement` times as long as usual have larger errors than this residual. Long steps therefore take
-    few more iterations than the two of usual steps, instead of up to eight. With steps of 1.4, 2, 2.8 and 4 times the
+    Steps that are 1 / ``refinement`` times as long as usual have larger errors than this residual. Usual steps take two
+    iterations; long steps therefore take few more, instead of up to eight. With steps of 1.4, 2, 2.8 and 4 times the
     usual length, 1000 orbits of eccentricity 0.3 take 0.64, 0.59, 0.52 and 0.36 of the time with usual steps. If
-    iterations went on to rounding, the times would be 1.1, 1.0, 0.85 and 0.75.
+    iterations went on down to rounding, these fractions would be 1.1, 1.0, 0.85 and 0.75.
     """
     return next((residual for below, residual in LONGER if refinement < below), CONVERGED)

@@ -2,9 +2,9 @@
 
 The twin takes the same steps as the orbit. The polynomials differ as little as the orbits do, so the twin starts its
 iterations from the coefficients that the orbit had before its last iteration. With a single iteration, the twin costs a
-third of a separate run. The error of the distance between twin and orbit is less than a hundredth, but very eccentric
-orbits then diverge too fast: with e = 0.999, by a factor of 10³⁰ in 13 orbits. A twin that iterates until it converges
-costs as much as a separate run. It has rounding errors of its own, so the distance then measures the error by rounding.
+third of a separate run. The distance between twin and orbit is then accurate to a hundredth, but very eccentric orbits
+diverge too fast: with e = 0.999, by a factor of 10³⁰ in 13 orbits. A twin that iterates until it converges costs as
+much as a separate run. It has rounding errors of its own, so the distance then measures the error by rounding.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from carom.scene.start import InitialBodies
 
 FIRST_FRACTION = 1e-3  # first trial step, as a fraction of the duration
 MOST_AT_ONCE, PAIRS_AT_ONCE = 500, 200_000  # most steps in a call, and most pairs: 1 ms for two bodies, 5 ms for 100
-CONVERGES = MAX_ITERATIONS  # value for a twin that iterates until it converges
+CONVERGES = MAX_ITERATIONS  # number of iterations that stands for a twin that iterates until it converges
 
 GoesOn = Callable[[int, float], bool]
 
 
 def always(iterations: int, time: float) -> bool:
-    """Set no bound."""
+    """Let the integrations go on; see `diverge`."""
     return True
 
 
@@ -94,8 +94,8 @@ def diverge(
 ) -> tuple[FollowedOrbits, FloatArray]:
     """Integrate the bodies of a scene without contacts, and their twins; return the orbits, and the twins' distances.
 
-    The rms distances, (K,) m, are given at ascending times (s). After the first distance that is ``enough`` (m), both
-    results are infinite.
+    The rms distances, (K,) m, are given at ascending times (s). After the first distance of at least ``enough`` (m),
+    both results are infinite.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def follow(
     k: int,
     most: int,
 ) -> int:
-    """Write positions and distances from time ``k`` on, in at most ``most`` steps; return the next index."""
+    """Write positions and distances from time ``k`` on, up to step ``most`` of the run; return the next index."""
     times, path, apart = samples
     run, end, iterations = progress[0], times[-1], rule.iterations
     while k < len(times) and run.steps < most:
@@ -227,7 +227,7 @@ def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
 
 @inner
 def _distance(motion: Motion, twin: Motion, dt: float, h: float) -> float:
-    """Return the rms distance in m at a fraction h of the step."""
+    """Return the rms distance in m between the orbits and their twins at a fraction h of the step."""
     n, square, t = len(motion.position), 0.0, h * dt
     for i in range(n):
         for k in range(3):

@@ -9,8 +9,8 @@ and the state after a time h is
     x' = f x + g v,     f = 1 - μ G₂/r,      g = h - μ G₃
     v' = ḟ x + ġ v,     ḟ = -μ G₁/(r r'),    ġ = 1 - μ G₂/r',      r' = r + η G₁ + ζ G₂
 
-The left side of the equation for X increases with X, because its derivative is r'. The equation is solved by steps that
-use the first three derivatives (Danby 1988), and by bisection if a step leaves the bracket. Whole periods are
+The left side of the equation for X increases with X, because its derivative is r' > 0. The equation is solved by steps
+that use the first three derivatives (Danby 1988), and by bisection if a step leaves the bracket. Whole periods are
 subtracted first. All computations are sums, products, quotients and square roots, so the bits are the same on any
 processor.
 """
@@ -37,14 +37,14 @@ PATIENCE = 8  # number of steps after which every second step is a bisection, si
 MAX_STEPS = 150  # most steps; half of them are bisections, of which about 60 suffice
 NEARLY = 1e-8  # relative step of X after which a last step of second order is enough; compare `CONVERGED`
 LANES = 64  # bodies in SIMD lanes
-WIDEST = 8  # most numbers in a vector on any processor
+WIDEST = 8  # most numbers in a SIMD vector on any processor
 # First columns of the arrays in the workspace: positions in m, velocities in m/s, μ, positions and velocities at the
 # end, and whether two steps for the anomaly were enough. All columns share one array, so that the compiler knows that
 # they do not overlap.
 X, Y, Z, VX, VY, VZ, MU, END_X, END_Y, END_Z, END_VX, END_VY, END_VZ, ENOUGH = range(0, 14 * LANES, LANES)
 WORKSPACE = 14 * LANES  # numbers in the workspace
 TWO_PI = 6.283185307179586  # rad
-WIDER = 1.01  # bracket of a time within one period, in periods, with room for rounding
+WIDER = 1.01  # upper end of the bracket, in anomalies of one period, with room for rounding
 
 
 @inner

@@ -1,9 +1,10 @@
 """The steps of Wisdom–Holman integration: many equal steps, or a single step of any length.
 
-`wisdom_holman` has the Hamiltonian. A change of variables removes the error terms in ε with all even powers of h
-(Wisdom, Holman & Touma 1996). The integration runs in the changed variables. A symplectic corrector converts the state
-to the changed variables at the start, and back for output. If x stands for h times the rate of change along the orbits,
-the generator of the corrector is H_mutual times (1 - x/2 / sinh(x/2))/x. The corrector is a product of `STAGES` factors
+`wisdom_holman` has the Hamiltonian. A change of variables removes the error terms of first order in ε, in all even
+powers of h (Wisdom, Holman & Touma 1996). The integration runs in the changed variables. A symplectic corrector
+converts the state to the changed variables at the start, and back for output. If x stands for h times the rate of
+change along the orbits, the generator of the corrector is H_mutual times (1 - x/2 / sinh(x/2))/x. The corrector is a
+product of `STAGES` factors
 
     drift(a h) kick(b h) drift(-2 a h) kick(-b h) drift(a h),        a = k `SPREAD`
 
@@ -40,10 +41,10 @@ class RunRecord(Protocol):
 
 
 RUN = dtype_of(RunRecord)
-LANES_FROM = 64  # number of bodies from which pairs are summed in SIMD lanes
+LANES_FROM = 64  # smallest number of bodies for which pairs are summed in SIMD lanes
 STAGES = 4  # stages of the corrector
 SPREAD = Fraction(2, 5)
-UNRESOLVED = 2.0  # a step longer than √(r³/μ) divided by this number is an eighth of an orbit or more
+UNRESOLVED = 2.0  # a step longer than √(r³/μ) divided by this number is more than 8 % of a circular orbit
 SEPARATED = 1.2  # ratio of the distances at which an encounter ends and begins
 
 
@@ -95,7 +96,7 @@ def to_jacobi(place: FloatArray, order: IntArray, mass_fraction: FloatArray, x: 
 
 @inner
 def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> None:
-    """Write Jacobi coordinates or rates in the order of the scene."""
+    """Convert Jacobi coordinates, or their rates, to Cartesian coordinates in the order of the scene."""
     from_jacobi(x, o.mass_fraction, place)
     for i in range(len(x)):
         for k in range(3):
@@ -104,12 +105,12 @@ def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> N
 
 @inner
 def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
-    """Change the rates of Jacobi coordinates by H_mutual; `place` must belong to x."""
+    """Change the rates of Jacobi coordinates by H_mutual; `OrbitArrays.place` must correspond to x."""
     if len(x) < LANES_FROM:
         _mutual(o.place, o.gm, o.acceleration)
     else:
         _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
-    # turns Cartesian accelerations into Jacobi accelerations, without the accelerations of the Kepler orbits
+    # convert Cartesian accelerations to Jacobi accelerations, and subtract the accelerations of the Kepler orbits
     a, mass_fraction = o.acceleration, o.mass_fraction
     rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
@@ -125,7 +126,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
 
 @inner
 def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
-    """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
+    """Write the accelerations by all pairs but the pair of the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
     n = len(place)
     for i in range(min(n, 2)):
         write(a, i, 0.0, 0.0, 0.0)
@@ -146,7 +147,7 @@ def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
 def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
     """Write the accelerations of `_mutual` for many bodies, in SIMD lanes."""
     n = len(place)
-    sx, sy, sz = 0.0, 0.0, 0.0  # sums of the dominant body
+    sx, sy, sz = 0.0, 0.0, 0.0  # acceleration of the dominant body
     for i in range(1, n):
         dx, dy, dz = between(place, i, 0)
         f, g, _ = mutual_attraction(dx, dy, dz, gm[i], gm[0], 0.0) if i > 1 else (0.0, 0.0, 0.0)

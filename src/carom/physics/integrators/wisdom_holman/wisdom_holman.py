@@ -7,18 +7,18 @@ each of which can be solved exactly (Wisdom & Holman 1991):
     H_Kepler = Σ_{i≥1} (p'_i² / 2m'_i - G m'_i M_i / |x'_i|) + the free motion of the centre of mass
     H_mutual = Σ_{i≥2} G m'_i M_i / |x'_i| - Σ_{i<j, j≥2} G m_i m_j / |x_i - x_j|
 
-A step of length h drifts along Kepler's orbits for h/2 (`kepler`), kicks by H_mutual for h, and drifts for h/2 again.
+A step of length h drifts along Kepler orbits for h/2 (`kepler`), kicks by H_mutual for h, and drifts for h/2 again.
 The half drifts of successive steps are joined. For masses ε relative to the dominant body, a step conserves
 
     H + ε h²/24 … + O(ε² h²)
 
 A corrector undoes the terms in ε (`orbit_steps`); errors in ε² h² remain.
 
-The step is the shortest period divided by `STEPS_PER_ORBIT`, or by `STEPS_OF_HEAVY` for bodies above `HEAVY`. The
-period is the period of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass
-within `HILL_RADII` of their Hill radii, or a body comes so close to the dominant body that the step no longer resolves
-its motion, the state before this step is passed to `GaussRadau15`, which integrates all bodies until they are far apart
-again.
+The step is the shortest period divided by `STEPS_PER_ORBIT`, or by `STEPS_OF_HEAVY` for bodies above `HEAVY`. Here, the
+period of an orbit is the period of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two
+bodies pass within `HILL_RADII` Hill radii of each other, or a body comes so close to the dominant body that the step no
+longer resolves its motion, the state before this step is passed to `GaussRadau15`, which integrates all bodies until
+they are far apart again.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from carom.state.checkpoint import EqualSteps, IntegratorCheckpoint, OrbitCheckp
 HILL_RADII = 12.0  # distance, in Hill radii, within which bodies on crossing orbits are close (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # distance of two orbits, in Hill radii, beyond which their bodies never come close
 GAP_FRACTION = 0.9  # fraction of the distance between two orbits; bodies that are nearer have left their orbits
-NEAREST = 0.03  # fraction of the semi-major axis; closer passages are left to Gauss–Radau integration
+NEAREST = 0.03  # smallest pericentre over the semi-major axis; closer passages are left to Gauss–Radau integration
 STEPS_PER_ORBIT = 20.0  # steps per period of the shortest orbit
 # Steps per period for bodies above `HEAVY`: the error of their encounters grows as the square of the mass and of the
 # step.
@@ -86,7 +86,7 @@ def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: in
 
 
 def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
-    """Return the distance (m) at which others are close to each body, given Hill radii over semi-major axes, (n,)."""
+    """Return for each body the distance (m) below which others are close, given Hill radii over semi-major axes."""
     hill = hill_ratio * np.minimum(conics.size, np.where(conics.axis < np.inf, np.inf, conics.pericentre))
     close = HILL_RADII * hill
     close[first] = 0.0
@@ -103,7 +103,7 @@ def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
 class WisdomHolman:
     """Integrates bodies that orbit a dominant body, many steps per call, in place.
 
-    Without a ``fixed_dt``, steps are a fraction of the shortest orbit, divided by ``refinement``. With ``resolves``,
+    Without a ``fixed_dt``, steps are a fraction of the shortest period, divided by ``refinement``. With ``resolves``,
     close encounters of light bodies are left to Gauss–Radau integration. ``gm`` is G m of each body, (n,) m³/s².
     """
 
@@ -150,7 +150,7 @@ class WisdomHolman:
 
     @property
     def next_dt(self) -> float:
-        """The next step in seconds."""
+        """The length of the next step in seconds."""
         return self._radau.next_dt if self._phase == CLOSE else float(self._run["dt"][0])
 
     def begin(self, dt: float) -> None:
@@ -214,7 +214,7 @@ class WisdomHolman:
         return IntegratorCheckpoint(0.0, nothing, nothing, no_rows, no_rows, own)
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Continue from a checkpoint with a step in s; without a checkpoint, start anew."""
+        """Continue from a checkpoint with a step of ``next_dt`` s; without a checkpoint, start anew."""
         self.begin(next_dt)
         if checkpoint is None or checkpoint.orbits is None:
             return

@@ -3,17 +3,17 @@
 A walk begins with the pair of the whole tree and itself, and decides on each pair of boxes A, B:
 
 1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless the boxes have so few
-pairs of bodies (`FEW_PAIRS`) that summing these is as fast. 2. Otherwise, if they have at most `MANY_PAIRS` pairs of
-bodies, or are both leaves, their bodies attract each other one
-   by one.
+   pairs of bodies (`FEW_PAIRS`) that summing over the pairs is as fast.
+2. Otherwise, if they have at most `MANY_PAIRS` pairs of bodies, or are both leaves, their bodies attract each other
+   one by one.
 3. Otherwise, the box with the larger radius is halved.
 
 These decisions do not depend on which of the two boxes is A. The forces on A and B are therefore opposite, exactly for
 single pairs of bodies and up to rounding for boxes, so momentum is conserved.
 
 A walk descends from the whole tree to the bodies of one branch. Each box A on the way starts from its parent's local
-expansion, moved to X_A. Then A decides on the boxes B that its parent left undecided, and adds their contributions. All
-sums for a body are therefore made by one thread, in the order of the walk.
+expansion, moved to X_A. The walk then decides on the boxes B that the parent left undecided, and adds their
+contributions. All sums for a body are therefore made by one thread, in the order of the walk.
 
 Rejected: leaves of 32 bodies that are never halved (in a cluster they need twice the pairs, because large, sparse
 leaves are near its dense centre); radii weighted by mass, (r_A + r_B) (M/M_total)^{1/8} (0.8 of the time in a ball, but
@@ -52,7 +52,7 @@ from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.vectors import WIDTH as LANES
 
 FEW_PAIRS = 128  # number of pairs of bodies that take as long as a pair of boxes
-MANY_PAIRS = 1024  # most pairs of bodies; 512 and 2048 are as fast at equal error
+MANY_PAIRS = 1024  # most pairs of bodies that are summed one by one; 512 and 2048 are as fast at equal error
 
 
 class BoxRecord(Protocol):
@@ -64,7 +64,7 @@ class BoxRecord(Protocol):
     radius: float  # m, r
     first: int  # first sorted body of the box
     last: int  # end of the range of the box's bodies
-    half: int  # the box of the second half; the first half follows this box. 0 for a leaf
+    half: int  # the box of the second half, 0 for a leaf; the box of the first half is the next box
     skip: int  # the next box outside this box
 
 
@@ -72,7 +72,7 @@ BOX = dtype_of(BoxRecord)
 
 
 class EntryRecord(Protocol):
-    """A box to be walked."""
+    """A box that the walk has yet to visit."""
 
     box: int
     begin: int  # range of the boxes that the parent left undecided
@@ -117,8 +117,8 @@ class WalkBuffers(NamedTuple):
     far: IntArray  # (threads, ·) boxes that attract as a whole
     near: IntArray  # boxes that attract body by body
     opened: IntArray  # boxes that are being opened
-    left: IntArray  # boxes left to both halves of a box
-    entries: RecordArray[Any]  # `ENTRY`, boxes still to be walked
+    left: IntArray  # boxes left undecided for both halves of a box
+    entries: RecordArray[Any]  # `ENTRY`, boxes yet to be visited
     local: FloatArray  # (threads, depth, LOCAL + 3) local expansions with their centres
     expansion: FloatArray  # (threads, LOCAL * LANES) a local expansion in lanes
     powers: FloatArray  # (threads, LOCAL) v^n / n!
@@ -200,10 +200,10 @@ def walk(
 def _decide(
     a: int, begin: int, end: int, theta2: float, boxes: RecordArray[BoxRecord], own: WalkBuffers
 ) -> tuple[int, int, int]:
-    """Decide on the boxes left to box a, from begin to end.
+    """Decide on the boxes left undecided for box a, from begin to end.
 
-    Return the numbers of boxes that attract as a whole and body by body, and the end of the range that the halves of
-    box a inspect. The range that the halves inspect begins at ``end``; its own end is -1 if there is no space for it.
+    Return the numbers of boxes that attract as a whole and body by body, and the end of the range of boxes left to the
+    halves of box a. This range begins at ``end``; the returned end is -1 if there is no space for the range.
     """
     opened, far, near, left = own.opened, own.far, own.near, own.left
     A = boxes[a]

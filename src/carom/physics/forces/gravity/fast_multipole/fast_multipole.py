@@ -9,8 +9,8 @@ The multipoles of a leaf are summed over its bodies, the multipoles of other box
 `BRANCH` bodies, the radius r is exact; for a larger box, r is a bound that follows from its halves.
 
 The opening angle determines the error (measured in docs/physics.md). Momentum is conserved to rounding at any opening
-angle. The bits are the same on any processor and number of threads. In a ball, an error of 10⁻⁴ takes half the time of
-the tree (`tree`, in which boxes attract bodies). For errors above 3 × 10⁻³, the tree is faster.
+angle. The bits are the same on any processor and number of threads. For an error of 10⁻⁴ in a ball, the method takes
+half as long as the tree (`tree`, in which boxes attract bodies). For errors above 3 × 10⁻³, the tree is faster.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ def describe(
 ) -> tuple[int, int]:
     """Write the bodies and halves of all boxes; return the numbers of branches and of boxes above them.
 
-    Each of the ``branches`` is a range of boxes: a largest box of at most `BRANCH` bodies, and all boxes in it. The
-    ``trunk`` has the boxes above the branches, each as a range of one box, the innermost first.
+    Each of the ``branches`` is a range of boxes: a box of at most `BRANCH` bodies whose parent has more, and all boxes
+    in it. The ``trunk`` has the boxes above the branches, each as a range of one box, the innermost first.
     """
     found = above = 0
     for b in range(count):
@@ -108,7 +108,7 @@ def expand(
     unit: float,
     powers_of: FloatArray,
 ) -> None:
-    """Write centre, radius and multipoles of the boxes of ``count`` ranges, from the last box of each to the first.
+    """Write centre, radius and multipoles of the boxes of ``count`` ranges, from the last box of a range to the first.
 
     Each of the threads [lo, hi) takes the next range until none is left; ``taken_so_far``, (1,), counts the ranges.
     ``unit`` (1/m) is a factor of lengths, and ``powers_of`` a buffer, (threads, POLES), for v^n / n!.
@@ -240,7 +240,7 @@ class FastMultipoleGravity:
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> FastMultipoleGravity:
-    """Return the fast multipoles for a scene's section."""
+    """Return the fast multipoles for a scene's gravity section."""
     return FastMultipoleGravity(mass, gravity.constant, gravity.softening, gravity.opening_angle, team)
 
 

@@ -1,15 +1,15 @@
-"""Taylor series of the potential of a pair, between two boxes of bodies, to order `ORDER`.
+"""Taylor series, to order `ORDER`, of the potential between the bodies of two boxes.
 
 Let ψ(d) = (d² + ε²)^{-1/2}, and D_n = ∂ⁿψ for the multi-index n = (n_x, n_y, n_z), with |n| = n_x + n_y + n_z and n! =
-n_x! n_y! n_z!. For a box B with the centre of mass X_B, and a target at u from the centre X_A of box A,
+n_x! n_y! n_z!. For a box B with centre of mass X_B, and a target displaced by u from the centre X_A of box A,
 
     M_m = Σ m_j (-y_j)^m / m!                            y_j = x_j - X_B      (multipoles, |m| < p)
     L_k = Σ_m D_{k+m}(X_A - X_B) M_m                     |k| + |m| ≤ p        (local expansion)
     Σ_j m_j ψ = Σ_k L_k u^k / k!                         a = G ∇, φ = -G times this sum
 
 The same pairs (k, m) appear in the force of B on A and in the force of A on B, so the two forces are opposite up to
-rounding (Dehnen, 2002). M_m = 0 for |m| = 1, because X_B is the centre of mass; in a row of multipoles, X_B takes their
-place.
+rounding (Dehnen, 2002). M_m = 0 for |m| = 1, because X_B is the centre of mass; a row of multipoles stores X_B in place
+of these zeros.
 
 D_n follows from ψ^{(s)} = (-1)^s (2s-1)!! (d² + ε²)^{-s-1/2} by D^{(s)}_{n+e} = d_e D^{(s+1)}_n + n_e D^{(s+1)}_{n-e}
 (McMurchie & Davidson, 1978).
@@ -107,7 +107,7 @@ RAISED = np.array([[_PLACE[_sum(k, axis)] for k in _POLES] for axis in AXES])
 
 
 def _step(n: Index) -> tuple[int, Index, int]:
-    """Return the axis e of the last factor of D_n, the index n that is lower by one along e, and n_e of this index."""
+    """Return the axis e of the last factor of D_n, the index n lowered by one along e, and the lowered index's n_e."""
     # an axis with n = 1 needs no second term
     axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))
     lower = _difference(n, AXES[axis])
@@ -220,7 +220,7 @@ def _evaluate_one_by_one(
 
 @instruction(_evaluate_one_by_one, at="int64", x="float64", y="float64", z="float64", unit="float64")
 def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, lanes: Any) -> None:
-    """Add a local expansion, the row ``at`` of ``local``, about x, y, z (m), at eight bodies.
+    """Evaluate a local expansion, row ``at`` of ``local``, about the point x, y, z (m), at eight bodies.
 
     ``unit`` (1/m) is a factor of lengths. ``lanes``, (7, LANES), has rows `X` to `PHI`; results are added to the sums.
     """
