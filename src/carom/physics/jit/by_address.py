@@ -1,11 +1,11 @@
 """Named tuples passed to kernels by address.
 
-Numba passes a tuple of arrays as some seven words for each array. The contacts of a step are 200 words, and a kernel of
-many steps would copy them for each of the forty functions of a step, and the copies take more than half of its time
-with three bodies. A located tuple is one word. Kernels read its fields like the fields of the tuple itself, and each
-function reads only the fields that it uses.
+Numba passes a tuple of arrays as about seven words for each array. The contacts of a step are 200 words, and a kernel
+of many steps would copy them for each of the forty functions of a step. With three bodies, the copies take more than
+half of the kernel's time. A located tuple is one word. Kernels read its fields like the fields of the tuple itself, and
+each function reads only the fields that it uses.
 
-In the plain form, a located tuple is the tuple.
+In the plain form, a located tuple is the tuple itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BYTES = ir.IntType(8).as_pointer()
 
 
 class Located(types.Type):  # type: ignore[misc] # untyped, like Numba's internals
-    """Numba's type of the address of a named tuple in memory that nobody writes."""
+    """Numba's type for the address of a named tuple in memory that does not change."""
 
     def __init__(self, of: Any) -> None:
         self.of = of  # type of the tuple
@@ -77,7 +77,7 @@ def by_address(code: Code, fields: Any) -> Any:
     """Return a named tuple as a located tuple, valid until the caller returns; an empty tuple is returned as it is.
 
     An empty piece of assembly hides where the address comes from. Without this assembly, LLVM might read fields before
-    they are stored, since it sees nobody write them.
+    they are stored, since it sees no code that writes them.
     """
     if not hasattr(code.kinds["fields"], "fields"):
         return fields

@@ -1,16 +1,16 @@
 """Compiled kernels on disk: verified before they are used, in folders that nobody else can write to.
 
-A run starts within a second instead of 20 to 60 s of compilation. Without a folder, or if the installed Numba lacks a
-required part, each process compiles the kernels again.
+With them, a run starts within a second instead of after 20 to 60 s of compilation. Without a folder, or if the
+installed Numba lacks a required part, each process compiles the kernels again.
 
 Numba's own cache unpickles and links any file in its folder, and identifies a kernel by its source file. Here each file
 begins with a checksum of its content, of the kernel and its argument types, and of all sources that the kernel may
-depend on. Damaged, exchanged or outdated files are ignored and the kernel is compiled again. There is one file per
-kernel and types, and no index that two processes could write at once. A process that compiles a kernel claims it, so
-that others wait for the result, and removes files of the kernel that belong to other sources or versions.
+depend on. Damaged, exchanged or outdated files are ignored and the kernel is compiled again. There is one file for each
+kernel and its argument types, and no index that two processes could write at once. A process that compiles a kernel
+claims it, so that others wait for the result, and removes files of the kernel that belong to other sources or versions.
 
-A wheel may carry kernels for a `BASELINE` of processors (``.ci/wheel`` makes such a wheel). These kernels lie beside
-the sources, are verified like all others, and give the same bits as kernels for this processor.
+A wheel may carry kernels for all processors of the level `BASELINE` (``.ci/wheel`` makes such a wheel). These kernels
+lie beside the sources, are verified like all others, and give the same bits as kernels compiled for this processor.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CLAIMS = "claims.lock"  # name of a file in each folder; one of its bytes is loc
 PATIENCE = 120.0  # s, longest wait for another process, which usually takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
 # The sources that kernels of carom are compiled from. Other modules affect a kernel only through its arguments and
-# their types. If imports into the scene counted, a changed message there would compile all kernels again.
+# their types. If imports of the scene package counted, a changed message there would outdate all kernels.
 SOURCES = (
     *("physics/", "scene/forces.py", "scene/portable_math.py", "scene/rest_speed.py", "contact_table.py", "arrays.py"),
     *("extend.py", "walls/"),
@@ -64,8 +64,8 @@ _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.versio
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
     """Return the cache of a kernel; None if there is no folder for it, or its sources cannot be read.
 
-    Such a function depends on more than its sources if it is within another function: for instance, on the arguments of
-    the outer function.
+    A closure has no cache either, since it depends on more than its sources: for instance, on the arguments of the
+    outer function.
     """
     if MISSING or function.__closure__:
         return None
@@ -225,7 +225,7 @@ class KernelCache:
 
 @cache
 def _claims(folder: Path) -> int | None:
-    """Open the file of the claims in a folder once: closing it would release all claims of this process."""
+    """Open the file of claims in a folder, only once, since closing it would release all claims of this process."""
     try:
         return os.open(folder / CLAIMS, os.O_RDWR | os.O_CREAT, 0o600)
     except OSError:
@@ -329,7 +329,8 @@ def _may_be_compiled(file: Path) -> bool:
 def imports_of(file: Path, package: str) -> tuple[Path, ...]:
     """Return the files of a package and of carom that a file may import.
 
-    ``from carom import registry`` is an import of the module only: `carom` itself imports nearly everything.
+    ``from carom import registry`` counts as an import of that module only, since `carom` itself imports nearly
+    everything.
     """
     text, among = _text(file), (package, "carom")
     files = {_file_of(name, among) for line in _IMPORT.findall(text) for name in re.findall(r"[\w.]+", line)}

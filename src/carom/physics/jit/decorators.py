@@ -2,8 +2,8 @@
 
 ``fastmath`` is not used: reassociated or fused arithmetic would make the bits depend on the processor.
 
-Plain kernels use only options that Numba documents. Other kernels save the atomic counts of references to arrays, and
-the wrappers that only Python needs: these take most of the compilation time of a kernel with many arrays.
+Plain kernels use only options that Numba documents. Other kernels do without atomic reference counts of arrays, and
+without wrappers for Python, which take most of the compilation time of a kernel with many arrays.
 
 Functions of installed packages are compiled into carom's kernels, selected by the types of arguments
 (`chosen_by_type`). A record passed to kernels names its functions in its type: the name of its first field contains
@@ -99,7 +99,7 @@ _HASH = 0 if PLAIN else hash(compiler.Flags())  # all options of Numba have the 
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    """Compile for Python and other kernels, not for C, and only once for all literal arguments."""
+    """Compile a function for calls from Python and kernels, not from C, and only once for all literal arguments."""
     compile_as: Any = numba.njit  # the stub of `njit` lacks some options
     if PLAIN:
         documented = {name: value for name, value in options.items() if name in ("nogil", "inline")}
@@ -228,7 +228,7 @@ def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], C
 
 
 def for_first(function: Callable[..., Any], is_meant: Callable[[Any], bool]) -> Callable[[Function], Function]:
-    """Let kernels that call a function call the decorated function if the first argument has the annotated type.
+    """Let kernels that call a function call the decorated function if ``is_meant`` accepts the first argument's type.
 
     The decorated function may be the called function itself.
     """

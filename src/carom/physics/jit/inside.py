@@ -63,8 +63,8 @@ def _module(name: str, *members: str) -> Any:
     return Absent() if missing else module
 
 
-# Numba loads the extensions of all packages at the first call of a kernel, once only. The call fails if the metadata of
-# any package are damaged, or if an extension calls `sys.exit`.
+# Numba loads the extensions of all packages once, at the first call of a kernel. The call fails if the metadata of any
+# package is damaged, or if an extension calls `sys.exit`.
 with signals_held(), contextlib.suppress(BaseException):
     import_module("numba.core.entrypoints").init_all()
 
@@ -104,7 +104,7 @@ def layout_digest(record: Any) -> str:
 
 
 def _number_functions() -> None:
-    """Start numbering the functions that this process compiles, from a number that no other process uses."""
+    """Start the numbering of functions in this process at a number that no other process uses."""
     bytecode.FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(RANDOM_BYTES), "little"))
 
 
@@ -113,8 +113,7 @@ _number_functions()
 os.register_at_fork(after_in_child=_number_functions)
 
 # At the start and end of each of its calls, llvmlite calls Numba back to time how long it holds a lock: 86 000 times in
-# a first run. Nobody uses these times. Without these calls, compilations and the loading of kernels take 0.95 of the
-# CPU time.
+# a first run. Nobody uses these times. Without these calls, compiling and loading kernels takes 5 % less CPU time.
 _lock: Any = getattr(getattr(import_module("llvmlite.binding.ffi"), "lib", None), "_lock", None)
 for _callbacks in list(getattr(_lock, "_cblist", ())):
     if all(callback.__module__ == "numba.core.base" for callback in _callbacks):

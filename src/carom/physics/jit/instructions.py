@@ -1,12 +1,11 @@
 """Instructions: functions of kernels written as LLVM code, each with a plain form.
 
 - *Atomic words* let threads share work inside kernels: pieces of a phase, cells of a grid, branches of a tree. Without
-such words, one thread does all the work; two threads gain a factor of 1.5 to 1.9 (docs/performance.md).
+  such words, one thread does all the work; two threads gain a factor of 1.5 to 1.9 (docs/performance.md).
 - *Prefetching*. The two bodies of a contact may be anywhere in memory, and the processor cannot predict the bodies of
-the next contacts. If bodies are prefetched sixteen contacts ahead, they arrive in time: 10⁵ bodies in random order cost
-40 instead
-  of 150 ns per contact and iteration, as little as bodies in the order of a lattice. Rejected: sorting the bodies along
-  a space-filling curve, which gains nothing more.
+  the next contacts. If bodies are prefetched sixteen contacts ahead, they arrive in time: with 10⁵ bodies in random
+  order, a contact costs 40 ns per iteration instead of 150 ns, as little as in the order of a lattice. Rejected:
+  sorting the bodies along a space-filling curve, which gains nothing more.
 - `from_front`. Numba's indices may count from the end, as in Python, so each access tests the sign of its index unless
   the compiler knows that it is not negative. With `from_front`, phases of the solver take 8 to 13 % less time. This
   function is its own plain form.
@@ -26,7 +25,9 @@ from carom.physics.aligned import CACHE_LINE
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.inside import PLAIN, cgutils, extending, ir, types
 
-AHEAD = 16  # number of contacts ahead; 8 cost the same if the bodies fit into the cache, otherwise 45 instead of 38 ns
+# number of contacts by which bodies are prefetched ahead; with 8, a contact costs the same if the bodies fit into the
+# cache, otherwise 45 ns instead of 38 ns
+AHEAD = 16
 LARGEST = 2**63 - 1
 WORD = ir.IntType(64)
 
@@ -112,7 +113,7 @@ def instruction(
 
 
 def _type_of(kind: Any, known: dict[str, Any]) -> Any:
-    """Return Numba's type of a name, of a tuple of equal names, or of a type itself."""
+    """Return Numba's type for a name or a tuple of equal names; a type is returned as it is."""
     if isinstance(kind, tuple):
         return types.UniTuple(_type_of(kind[0], known), len(kind))
     if not isinstance(kind, str):

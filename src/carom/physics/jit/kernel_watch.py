@@ -1,4 +1,4 @@
-"""The time in which kernels are loaded or compiled: a run spends it once, not in every step."""
+"""The time spent on loading or compiling kernels: a run spends it once, not in every step."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LOADED_OR_COMPILED = "numba:compiler_lock"  # Numba holds this lock while it loa
 
 
 class KernelWatch(event.Listener):  # type: ignore[misc] # untyped, like Numba's internals
-    """Seconds in which kernels are loaded or compiled while the watch is active, and the number of compiled kernels.
+    """Measures the time spent on loading or compiling kernels while it is active, and counts the compiled kernels.
 
     ``clock`` returns seconds.
     """

@@ -1,7 +1,7 @@
 """A kernel and its arguments as two addresses, so that any thread can do a piece of the work without the interpreter.
 
 A helper that calls the kernel through the interpreter waits for the interpreter lock: 10 to 30 µs for half a dozen
-pieces. A step of 10⁴ bodies gained a factor of 1.2 from a second thread that way, and 1.65 with addresses. Numba can
+pieces. In this way, a step of 10⁴ bodies gained a factor of 1.2 from a second thread; with addresses, 1.65. Numba can
 pass a kernel to another kernel as a value, but then compiles the receiving kernel again for each passed kernel and each
 set of arguments. The phases of the contact solver, called by name, would all be compiled into each of their callers.
 
@@ -27,7 +27,7 @@ from carom.physics.jit.instructions import WORD, Code, instruction
 # types of a kernel's arguments: address of the job, first piece, end of the pieces
 PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])
 FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # words of a job; FAULT: error code (0: none), INFO: exception
-CODE: Any = np.object_ if PLAIN else np.int64  # type of arrays of `code_for`
+CODE: Any = np.object_ if PLAIN else np.int64  # type of the elements in arrays of results of `code_for`
 
 
 def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], Function]:
@@ -35,7 +35,7 @@ def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], 
     return (lambda function: function) if PLAIN else compile_as
 
 
-# makes records for `leading` functions, with fields as attributes
+# prepares records for `leading` functions, which read fields as attributes
 led: Callable[[Any], Any] = (lambda records: records.view(np.recarray)) if PLAIN else unchanged
 
 

@@ -19,7 +19,7 @@ Rejected, with measurements:
 - One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
   is polling the board starts within 1 µs.
 - Helpers that ask the interpreter which function to call: leader and helpers wait for the interpreter lock, 10 to 30 µs
-a phase. That way, a step of 10⁴ bodies gained a factor of 1.2 from a second thread, instead of 1.65.
+  per phase. In this way, a step of 10⁴ bodies gained a factor of 1.2 from a second thread, instead of 1.65.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ PATIENCE = 5000  # polls of the board, about 20 µs, before an idle helper yield
 # number of polls between two jobs before a helper sleeps; with a fifth of this number, two threads gain a factor of
 # 1.38, not 1.53
 LOOKOUT = 50 * PATIENCE
-SHIFT = 32  # number of pieces, some tenths of a millisecond, after which a busy helper yields its core
+SHIFT = 32  # number of pieces, a few tenths of a millisecond, after which a busy helper yields its core
 SHARED = 0  # result of `_lead` when the job is done; any other result is the kind of arguments that needs code
 PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
 
@@ -135,7 +135,7 @@ OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 @kernel
 def post(board: IntArray, pieces: int) -> None:
-    """Post a phase of ``pieces`` pieces. Before that, write the data that helpers read before they claim a piece."""
+    """Post a phase of ``pieces`` pieces. Data that helpers read must be written before this call."""
     atomic_store(board, DONE, 0)
     atomic_store(board, BACK, pieces)
     atomic_store(board, LEFT, pieces)
@@ -177,7 +177,7 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
 def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) -> None:
     """Post ``pieces`` pieces of a job, from ``first`` on, and process them with the helpers.
 
-    The caller must not raise the fault of the job earlier: helpers need the job until all pieces are done.
+    The caller must not raise the job's fault before this call returns: helpers need the job until all pieces are done.
     """
     board[DOER], board[JOB], board[FIRST] = doer, job, first
     post(board, pieces)
@@ -191,7 +191,7 @@ def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) ->
 
 @long_kernel
 def _look(board: IntArray, offer: int, looks: int) -> None:
-    """Process pieces of jobs, and call ``offer``, see `OFFER`; return after a number of polls without work."""
+    """Process pieces of jobs, and call `OFFER` from time to time; return after ``looks`` polls without work."""
     idle, done = 0, 0
     while idle < looks:
         idle += 1

@@ -7,8 +7,8 @@ each operation, with the same bits. Formulas are written once, for doubles: `in_
 lanes.
 
 `RecordLanes` are eight records whose fields are lanes. Records are read and written as whole cache lines, which are
-transposed in registers. A transposition takes 24 instructions, so a change that belongs to several lines is transposed
-once, and added to the lines in memory.
+transposed in registers. A transposition takes 24 instructions, so a change of several lines is transposed once, and
+then added to each of the lines in memory.
 
 Gains (docs/performance.md): a sweep of the contact solver takes 18 instead of 24.5 ns per contact, and an iteration of
 the position correction takes 29 instead of 42 µs; together, this saves 6 to 10 % of a step of falling spheres. For a
@@ -57,7 +57,7 @@ class Mask:
 
     @property
     def any(self) -> Any:
-        """A bit: whether a lane is set."""
+        """A bit that states whether any lane is set."""
         return self.builder.icmp_unsigned("!=", self.builder.bitcast(self.value, BYTE), BYTE(0))
 
     def bit(self, k: int) -> Any:
@@ -276,7 +276,7 @@ def either(
 
 
 class RecordLanes:
-    """Eight records of whole cache lines, with the fields of the lines read as attributes."""
+    """Eight records of whole cache lines; the fields of the lines that have been read are attributes."""
 
     def __init__(self, builder: Any, kind: np.dtype[np.void], addresses: Sequence[Any], lines: Sequence[int]) -> None:
         self._builder, self._kind, self._addresses = builder, kind, addresses
@@ -303,7 +303,7 @@ class RecordLanes:
             self._lines[line][place] = value
 
     def write(self, line: int, mask: Mask | None = None) -> None:
-        """Write a line that has been read to the records of a mask (default: to all)."""
+        """Write a line that has been read back to the records that a mask selects, by default to all."""
         rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:
@@ -316,7 +316,7 @@ class RecordLanes:
             mask.in_each(write)
 
     def add(self, lines: Sequence[int], fields: Sequence[Lanes], mask: Mask) -> None:
-        """Add eight fields to each of some lines in memory, for the records of a mask."""
+        """Add eight fields to each of the given lines in memory, for the records that a mask selects."""
         builder, rows = self._builder, _rows_of(self._builder, fields)
 
         def add(k: int) -> None:
@@ -327,7 +327,7 @@ class RecordLanes:
         mask.in_each(add)
 
     def add_to(self, mask: Mask, **fields: Lanes) -> None:
-        """Add to named fields of a cache line in memory, for the records of a mask; other fields keep their bits."""
+        """Add to fields of a line in memory, for the records that a mask selects; other fields keep their bits."""
         (line,) = {self._place_of(name)[0] for name in fields}
         row = [spread(self._builder, NOTHING)] * WIDTH
         for name, value in fields.items():

@@ -1,9 +1,10 @@
 """The growth of errors: distances between runs over time, extrapolated to shorter steps, and the divergence of twins.
 
 The error with shorter steps follows from the distances between trial runs with successively shorter steps. No step of a
-trial run is a multiple of another's step. If a ball stops sliding within a step of length h, after a fraction f of the
-step, the error of the step is C h² f (1 - f). Halved steps would end where the longer steps end. If such an event
-coincides with the end of a step, f is 0 in all trial runs, and they agree on a wrong result.
+trial run is a multiple of the step of another trial run. If a ball stops sliding within a step of length h, after a
+fraction f of the step, the error of the step is C h² f (1 - f). Halved steps would end where the longer steps end. If
+such an event then coincided with the end of a step, f would be 0 in all trial runs, and they would agree on a wrong
+result.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from carom.physics.vector import minimum_images
 from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
-# largest distance of a time from a regular one, as a fraction of the time between two comparisons
+# distance of the times of comparison from regular times, as a fraction of the time between two comparisons
 GOLDEN = 0.3819660112501051
 # Refinement of the first trial run (24 steps in a circular orbit), and ratio of the refinements of successive trial
-# runs. With 1.06, if bodies touch and refinement 1 is enough, a run cost a tenth of its look-ahead.
+# runs. When the first refinement was 1.06, a run with contacts that needs refinement 1 cost a tenth of its look-ahead.
 COARSEST, RATIO = 0.25 * 1.0618, 1.4715
 LONGEST = 1.0  # refinement of the longest useful steps
 SAFETY = 3.5  # the step is chosen for an error that is smaller than the requested error by this factor
@@ -30,12 +31,12 @@ SAFETY = 3.5  # the step is chosen for an error that is smaller than the request
 # for scenes in which nothing can touch, so that the order is known.
 FARTHEST, FARTHEST_OF_SMOOTH = 8.0, 32.0
 # Number of required comparisons: with contacts, one or two distances may be small by chance (see above). A distance of
-# a given fraction of the accuracy has about this fraction as its probability. Fewer comparisons are enough if the
-# product of these fractions is below `CHANCE`.
+# a fraction x of the accuracy occurs with a probability of about x. Fewer comparisons are enough if the product of
+# these probabilities is below `CHANCE`.
 TRIED, TRIED_OF_SMOOTH, CHANCE = 3, 2, 1e-3
-LATEST = 4  # number of latest comparisons in use
-# a step is good enough if it keeps the accuracy for this fraction of the longest possible time, unless this is the
-# whole run
+LATEST = 4  # number of latest comparisons that are used
+# a step is good enough if it keeps the accuracy for this fraction of the longest possible time, unless that time is
+# the whole run
 NEARLY = 0.95
 FALLING = 0.82  # largest ratio of successive distances that counts as a reduction
 APART = 1e-2  # distance of twins, relative to the size, above which they no longer diverge exponentially
@@ -161,8 +162,8 @@ def extrapolate(
     The refinement is a power of two, so that steps and frames end together. It is at least 1 and at least the
     refinement of the last trial run but one, and at most ``farthest`` times the last refinement, ``finest``. The
     distances of each trial run from the next, ``apart``, are (K,) relative to the size. The coefficient of h^p depends
-    on where in their steps impacts happen. Therefore the largest of the latest distances is used, after each is scaled
-    by the order, which is at most ``highest``.
+    on where impacts happen within their steps. Therefore the largest of the latest distances is used, after each has
+    been scaled according to the order, which is at most ``highest``.
     """
     order = _observed(apart, highest)
     scaled = [each / RATIO ** (order * age) for age, each in enumerate(apart[: -LATEST - 1 : -1])]
@@ -184,7 +185,7 @@ def by_chance(apart: list[FloatArray], accuracy: float) -> float:
 
 
 def largest_useful(order: int, accuracy: float, farthest: float) -> float:
-    """Return the distance of trial runs, relative to the size, above which no following run keeps the accuracy."""
+    """Return the distance of trial runs, relative to the size, above which no later run can keep the accuracy."""
     return min(accuracy * (RATIO**order - 1.0) * (farthest * RATIO**LATEST) ** order / SAFETY, 1.0)
 
 
@@ -214,9 +215,9 @@ class Twins:
 
     @classmethod
     def grown(cls, times: FloatArray, apart: FloatArray, began: float, known: int) -> Twins:
-        """Continue a distance, (K,) relative to the size, to times at which the distance is no longer small.
+        """Extrapolate the twins' distance, (K,) relative to the size, to times at which it is no longer small.
 
-        From the time ``known`` on, the distance is unknown, and set to infinity.
+        From sample ``known`` on, the distance is unknown, and set to infinity.
         """
         if known < len(apart):
             if not known:
@@ -262,7 +263,7 @@ class Twins:
 
 
 def displaced(start: InitialBodies, distance: float) -> InitialBodies:
-    """Return initial states with free bodies displaced by an rms distance (m), or by a last bit."""
+    """Return initial states with free bodies displaced by an rms distance (m), at least by their last bits."""
     direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # displacements of rms length 1
     moved = start.position + distance * direction
     unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))

@@ -1,4 +1,4 @@
-"""The trial runs of a look-ahead, how far they came, and the promise that follows from their errors."""
+"""The trial runs of a look-ahead, how far they got, and the promise that follows from their errors."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ LATER = 1024  # number of times beyond the trial runs; between two of them, an e
 # fewest samples within the budget; if there are fewer, the time that was reached is divided more finely
 ENOUGH_SAMPLES = 8
 FEWEST_SAMPLES = 4  # known samples from which an error is extrapolated to later times
-# fewest steps between samples for the coarsest trial run, whose steps end at samples; half of it with smooth errors
+# fewest steps between samples for the coarsest trial run, whose steps end at samples; half as many with smooth errors
 STEPS_PER_SAMPLE = 8
 # initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
 DISPLACEMENT = 1e-11
 # Ratio of the error by rounding to the distance of twins. With 4, horizons were too early in 8 of 25 cases. With 1.3,
-# errors exceeded the request before the horizon in 11 of 235 cases, by up to a fifteenth of the time.
+# errors exceeded the request before the horizon in 11 of 235 cases, earlier by up to a fifteenth of the time.
 SPREAD = 2.5
 LARGEST_ERROR = 1.0  # largest error, relative to the size; larger errors are not distinguished
 ROUNDING = 8.0  # rounding ρ in units of the last bit of the coordinates
@@ -73,7 +73,7 @@ class ExaminedRuns:
         self._is_smooth = not require(scene).contact.modelled
         of_smooth = TRIED_OF_SMOOTH, FARTHEST_OF_SMOOTH
         self._tried, self._farthest = of_smooth if self._is_smooth else (TRIED, FARTHEST)
-        # refinement up to which trial runs are always made, or the smallest refinement of a run if it is larger
+        # refinement up to which trial runs are always made, or the smallest refinement of a run if that is larger
         self._planned = max(COARSEST * RATIO**self._tried, LONGEST)
         self._kept_at_most = math.inf  # s
         self._times = samples(scene.time.duration, SAMPLES)
@@ -86,7 +86,7 @@ class ExaminedRuns:
                 f"this scene; set {least:.1e} or more",
                 ("time", "accuracy"),
             )
-        if integrator(scene).controls_error:  # its error is rounding, which twins that start a last bit apart show
+        if integrator(scene).controls_error:  # its error is rounding, seen in twins that start one bit apart
             self._twin, self._rounding = displaced(start, 0.0), SPREAD
         else:
             self._twin = displaced(start, DISPLACEMENT * self._scale.size)
@@ -110,7 +110,7 @@ class ExaminedRuns:
         return run
 
     def _whole(self, run: TrialRun, refinement: float) -> float:
-        """Return the cost of a whole run with a refinement, relative to a trial run as far as this came."""
+        """Return the cost of a whole run with a refinement, relative to the cost of a trial run so far."""
         longer = self._scene.time.duration / run.reached if run.reached > 0.0 else math.inf
         return longer * refinement / run.refinement
 

@@ -11,7 +11,7 @@ be repeated.
 
 Chaos limits every promise. A twin, a run with slightly displaced bodies, shows how errors grow. The error r(t) by
 rounding is proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the
-accuracy. The error of gauss-radau15 is rounding; its twins start a last bit apart, and so measure this error directly.
+accuracy. The error of gauss-radau15 is rounding; its twins start one bit apart, and so measure this error directly.
 The errors of its longer steps are multiples of the distance between two trial runs, see `RADAU_ERRORS`. The largest
 Lyapunov exponent is the growth rate of the distance of twins, up to the end or until it reaches `APART`.
 
@@ -70,17 +70,17 @@ EXACT = 2.0**-8  # refinement of a trial run with only rounding errors; shorter 
 # refinement in place of `EXACT` for many bodies, which have more possible partners in longer steps
 EXACT_OF_MANY = 0.125
 EXACT_UP_TO = 200  # most bodies for `EXACT`; for more, `EXACT_OF_MANY` applies
-FEWEST_ORBITS = 30.0  # fewest revolutions of the innermost body; the first ones cost little with gauss-radau15
+FEWEST_ORBITS = 30.0  # fewest revolutions of the innermost body; with fewer, gauss-radau15 costs little
 FINEST_OF_ORBITS = 1e-7  # smallest accuracy for wisdom-holman; below it, gauss-radau15 is cheaper
 HILL_RADII = 3.0  # least number of Hill radii between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # number of samples; each takes a corrector and its inverse
-# growth of an error beyond the trial runs up to which steps are shortened; more growth ends the promise
+# largest growth of an error beyond the trial runs for which steps are shortened; more growth ends the promise
 MOST_FORESEEN = 1e6
-# ratio of the expected to the extrapolated error; with 2, an event in a step exceeded it by a factor of 1.4
+# ratio of the expected to the extrapolated error; with 2, an event in a step exceeded the expected error 1.4 times
 MARGIN = 3.0
 MOST_IDLE = 5  # most successive trial runs whose shorter steps hardly change the distance; see `stays`
-# Number of consecutive comparisons that show that shorter steps would hardly extend a promise; a single one may be
-# chance. Comparisons are ignored while no promise is kept, since the steps may be too long to judge.
+# Number of consecutive comparisons that must show that shorter steps would hardly extend a promise; a single one may do
+# so by chance. Comparisons are ignored while no promise is kept, since the steps may be too long to tell.
 MOST_ENOUGH = 2
 # number of steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
 STEPS_OF_TWINS = 200
@@ -88,7 +88,7 @@ RADAU_AHEAD = 2.0**-1.5  # refinement of a trial run with gauss-radau15
 RADAU_LONG = 0.25  # refinement of the run whose distance from the trial run measures its error
 # Refinement, and ratio of the error of its steps to that distance. In 40 scenes (Kepler orbits of up to 3000 periods,
 # planets, hierarchical triples, 3 to 60 bodies), the largest ratios at the end were 1.1, 0.2, 0.009 and 0.0013; steps
-# of refinement 1 err by rounding.
+# of refinement 1 have only rounding errors.
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
 # Integrators that may cost less than Gauss–Radau integration for more bodies than `MAX_IN_ONE_BLOCK`, the cheapest
@@ -162,7 +162,9 @@ class _LookAhead(ExaminedRuns):
         return self._promise(min(longest, LONGEST), self._rounding * twins.apart, twins.exponent)
 
     def _find_cheapest(self, usual: Integrator) -> Promise:
-        """Return the promise of the cheapest integrator that keeps the accuracy to the end, or else for longest.
+        """Return the promise of the cheapest integrator that keeps the accuracy to the end.
+
+        If none does, return the promise that lasts longest.
 
         Gauss–Radau integration, if it is the ``usual`` integrator, is tried if no other integrator is cheaper.
         """
@@ -223,7 +225,7 @@ class _LookAhead(ExaminedRuns):
         return self._promise(refinement, error, twins.exponent)
 
     def _find_for_order(self, order: int) -> Promise:
-        """Return the promise of kicks and drifts at any cost."""
+        """Return the promise of kicks and drifts, whatever they cost."""
         found = self._find_for_steps(order)
         assert found is not None
         return found
@@ -325,7 +327,7 @@ class _LookAhead(ExaminedRuns):
         return self._promise(best.refinement, error, twins.exponent)
 
     def _part_at_impacts(self, refinement: float) -> tuple[TrialRun, Twins]:
-        """Return a run with impacts, and its divergence from its twin; they share memory if it is scarce."""
+        """Return a run with impacts, and its divergence from its twin; with few bodies, they share memory."""
         duration, many = self._scene.time.duration, self._scene.count > EXACT_UP_TO
         for count in (SAMPLES,) if many else FEWER_SAMPLES:
             self._times = samples(duration, count)

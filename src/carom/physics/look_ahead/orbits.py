@@ -1,7 +1,7 @@
 """The longest step of Wisdom–Holman integration that keeps an accuracy, from trial runs of the orbits.
 
-The error is of second order in the step. If D(t) is the distance between runs with the refinements r and s, the error
-with refinement q is
+The error is of second order in the step. If D(t) is the distance between runs with refinements r and s, the error with
+refinement q is
 
     e(t) = D(t) / q² / (1/r² - 1/s²)
 
@@ -23,10 +23,10 @@ from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63 resolve the innermost orbit
-COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between these and 1, the error falls faster than with second order
+COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; from these up to 1, the error falls faster than to second order
 COMPARED = (1.0, 1.2)
-# Factor on the extrapolated error. In single systems, the error is up to 9 times a second-order term, because it has
-# terms of higher order with either sign.
+# Factor on the extrapolated error. In individual systems, the error is up to 9 times a second-order term, because it
+# has terms of higher order with either sign.
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements that cost less than gauss-radau15
 STEPS_AT_ONCE = 1000  # steps between two checks of the budget

@@ -23,8 +23,8 @@ from carom.scene.schema import Expect, Promise
 from carom.scene.start import InitialBodies
 
 LEAST = 0.2  # nominal s, least budget if nothing can touch, so that an error beyond the trial runs can be extrapolated
-# Fewest leapfrog steps that the budget pays for, so that trial runs cover 8 samples of 4 steps; with more than some 400
-# bodies, this is more than `LEAST`.
+# Fewest leapfrog steps that the budget pays for, so that trial runs cover 8 samples of 4 steps; with more than about
+# 400 bodies, this is more than `LEAST`.
 LEAST_STEPS = 800
 # Nominal s, least budget if bodies may touch, so that nothing is promised beyond the trial runs. 1 s covers `billiards`
 # at 10⁻⁴, whose steps with friction take Python 0.5 ms each.
@@ -60,7 +60,7 @@ class WorkBudget:
     duration: float  # s, duration of the run
     least: float = LEAST_OF_CONTACTS  # nominal s, least budget
     part: float = 1.0  # fraction of the whole budget of a look-ahead
-    watch: Watcher | None = None  # called now and then during trial runs
+    watch: Watcher | None = None  # called from time to time during trial runs
     own: float = 0.0  # nominal s, the work of the run itself, estimated from the latest trial run
     spent: float = 0.0  # nominal s
     reached: float = 0.0  # s, time of the present trial run
@@ -142,7 +142,7 @@ class TrialRun:
         record = scene.record.model_copy(update={"check_every": NEVER})
         unchecked = scene.model_copy(update={"promise": promise, "record": record, "expect": Expect()})
         self.refinement = refinement
-        self.rests_from = math.inf  # s, time from which contacts rest that the integrator cannot hold
+        self.rests_from = math.inf  # s, time from which contacts are at rest, which the integrator cannot hold
         self.times = times
         self.work = 0.0  # nominal s so far
         self.is_cut = False  # whether the run ended because its share of the budget was spent
@@ -161,7 +161,7 @@ class TrialRun:
 
     @property
     def known(self) -> int:
-        """The number of times that the run has reached, or never reaches because it fails."""
+        """The number of times that are settled, because the run has reached them or has failed earlier."""
         return len(self._positions) if self.is_cut else len(self.times)
 
     @property
@@ -184,7 +184,7 @@ class TrialRun:
         return self._positions[sample] if sample < len(self._positions) else None
 
     def end(self) -> None:
-        """Leave the times that the run has not yet reached unknown."""
+        """End the run; the times that it has not yet reached remain unknown."""
         self.is_cut = True
 
     def again(self, start: InitialBodies) -> TrialRun:

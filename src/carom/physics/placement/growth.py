@@ -1,16 +1,17 @@
 """Dense random packings: spheres start small, fly, bounce and grow to their full size.
 
-Random addition jams at a packing of 0.38. Here spheres start at random positions, small enough for a packing of 0.2.
-They then grow at one relative rate while they fly straight and bounce elastically off each other, the border of the
-region, planes, and bodies that were placed earlier (Lubachevsky & Stillinger 1990, J. Stat. Phys. 60, 561). The more
-often they bounce, the more slowly they grow: with 1 radius/s throughout, they would jam below 0.6. Equal spheres never
-reach a random close packing, 0.64.
+Random addition jams at a packing fraction of 0.38. Here spheres start at random positions, small enough for a packing
+fraction of 0.2. They then grow at one relative rate while they fly straight and bounce elastically off each other, the
+border of the region, planes, and bodies that were placed earlier (Lubachevsky & Stillinger 1990, J. Stat. Phys. 60,
+561). The more often they bounce, the more slowly they grow: with 1 radius/s throughout, they would jam below 0.6. Equal
+spheres never reach random close packing, 0.64.
 
-With the sum of radii D (1 + k s), the time s of impact of two spheres follows from the formula for constant radii:
+If the sum of radii is D (1 + k s), the time s of impact of two spheres follows from the formula for constant radii:
 
     |x + v s| = D (1 + k s)   ⟺   |x + (v - k x) σ| = D,   s = σ / (1 - k σ)
 
-A sphere whose centre has space E - g s inside a ball or a cylinder about the origin meets its wall at
+A sphere inside a ball or a cylinder about the origin, whose centre can move up to E - g s away from the origin or the
+axis, meets the wall when
 
     |x + v s| = E - g s   ⟺   (v² - g²) s² + 2 (x·v + g E) s + x² - E² = 0
 
@@ -55,7 +56,7 @@ MOST_AT_ONCE = 30  # mean number of impacts per sphere in a pass
 def densest(radius: FloatArray) -> float:
     """Return the largest packing to which spheres of these radii, (n,), can be compressed.
 
-    The random close packing of spheres of several sizes is, from simulations,
+    In simulations, the random close packing of spheres of several sizes is
 
         0.634 + 0.0658 δ + 0.0857 S δ²
 
@@ -210,7 +211,7 @@ class FlightSpace(NamedTuple):
 def fly(
     sphere: RecordArray[GrowingSphereRecord], movers: int, queue: IntArray, space: FlightSpace, span: float, most: int
 ) -> tuple[float, int]:
-    """Fly until a sphere has left its skin, for at most a time span (s) or number of impacts; return both.
+    """Fly until a sphere has left its skin, for at most a time span (s) or number of impacts; return time and impacts.
 
     Spheres from ``movers`` on are fixed; ``queue`` is a buffer, (movers,).
     """
@@ -259,7 +260,7 @@ def _advance(a: GrowingSphereRecord, now: float) -> None:
 
 @inner
 def _time_in_skin(a: GrowingSphereRecord) -> float:
-    """Return the time (s) in which a sphere leaves its skin."""
+    """Return the time (s) after which a sphere leaves its skin."""
     ox, oy, oz = a.x - a.start_x, a.y - a.start_y, a.z - a.start_z
     v2 = a.vx * a.vx + a.vy * a.vy + a.vz * a.vz
     ov = ox * a.vx + oy * a.vy + oz * a.vz
@@ -325,7 +326,7 @@ def _predict(i: int, now: float, span: float, sphere: RecordArray[GrowingSphereR
 
 @inner
 def _time_to_sphere(d: Vector, v: Vector, D: float, growth: float, left: float) -> float:
-    """Return the time (s) in which two spheres meet; infinite if not within the time left."""
+    """Return the time (s) after which two spheres meet; infinite if it is longer than the time left."""
     (dx, dy, dz), (vx, vy, vz) = d, v
     k = growth / D
     w = vx - k * dx, vy - k * dy, vz - k * dz
@@ -337,7 +338,7 @@ def _time_to_sphere(d: Vector, v: Vector, D: float, growth: float, left: float) 
 def _time_to_border(
     x: float, y: float, z: float, r: float, a: GrowingSphereRecord, wall: BorderRecord, left: float
 ) -> float:
-    """Return the time (s) in which a sphere of radius r at (x, y, z) meets a border; infinite if never."""
+    """Return the time (s) after which a sphere of radius r at (x, y, z) meets a border; infinite if it never does."""
     g = a.growth
     if wall.flat:
         closing = g - (a.vx * wall.nx + a.vy * wall.ny + a.vz * wall.nz)

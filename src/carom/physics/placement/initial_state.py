@@ -176,7 +176,7 @@ def _explicit(bodies: Sequence[Body]) -> InitialBodies:
 
 
 def _mixture(scene: Scene, index: int) -> dict[int, BodyGroup]:
-    """Return the indices of the groups that are placed together with a group, which is the first of them.
+    """Return the groups that are placed together with a group, which is the first of them, by their indices.
 
     Groups compressed into the same region grow together. If they were compressed one after another, the first would
     leave no space for the next.
@@ -283,7 +283,7 @@ def _refuse_full_box(scene: Scene) -> None:
 # checks of initial states: overlaps, and numbers out of range
 MOST_PAIRS = 3  # most pairs that a message names
 WRITTEN = 5e-7  # half a unit in the last of seven digits: files and people write at least seven
-MOST_WRITTEN = 1e-3  # largest overlap, in radii, that is due to the rounding of a file
+MOST_WRITTEN = 1e-3  # largest overlap, in radii, that may be due to the rounding of a file
 
 
 def key_of(scene: Scene, number: int) -> KeyPath:
@@ -346,7 +346,7 @@ def refuse_overflow(start: InitialBodies) -> None:
 
 
 def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) -> None:
-    """Refuse overlapping bodies; bodies that overlap because positions were rounded to seven digits touch."""
+    """Refuse overlapping bodies, except overlaps that may be due to the rounding of positions to seven digits."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
         return

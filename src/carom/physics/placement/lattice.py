@@ -20,8 +20,8 @@ from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 
-# Edges of the orthogonal cell in multiples of the distance of neighbours, and the points of the cell in fractions of
-# these edges.
+# Edges of the orthogonal cell in multiples of the distance between neighbours, and the points of the cell in fractions
+# of these edges.
 CELLS = {
     "cubic": ((1.0, 1.0, 1.0), ((0.0, 0.0, 0.0),)),
     "fcc": ((math.sqrt(2.0),) * 3, ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))),
@@ -30,7 +30,7 @@ CELLS = {
         ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 5.0 / 6.0, 0.5), (0.0, 1.0 / 3.0, 0.5)),
     ),
 }
-WIDEST = 1.2  # factor on the spacing with which a region without a border would hold exactly the required points
+WIDEST = 1.2  # first spacing, over the spacing at which the region, but for its border, would hold the required points
 NARROWER = 0.995  # factor on the spacing whenever the region holds too few points
 TOUCHING = 1.0 + 1e-9  # factor on the sum of radii, so that rounding makes no neighbours overlap
 MOST_POINTS = 50_000_000

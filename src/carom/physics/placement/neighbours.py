@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 ALL_PAIRS_UP_TO = 64  # number of bodies up to which importing SciPy takes longer than testing all pairs
-MOST_CANDIDATES = 5_000_000  # most candidate pairs; each takes some 100 bytes, with copies
-CANDIDATES_PER_BODY = 30  # spheres of radii r to 2 r that fill 0.74 of space have at most 24 within 4 r
+MOST_CANDIDATES = 5_000_000  # most candidate pairs; each takes about 100 bytes, with copies
+CANDIDATES_PER_BODY = 30  # spheres of radii r to 2 r that fill 0.74 of space have at most 24 neighbours within 4 r
 # the tree compares rounded distances, so it is queried slightly farther, and the exact test follows
 QUERY_MARGIN = 1.0 + 1e-9
 
@@ -47,7 +47,7 @@ def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray 
 
 
 def squared_distance(a: FloatArray, b: FloatArray, box: FloatArray | None) -> FloatArray:
-    """Squared distance between rows of (m, 3) arrays, to the nearest image in a periodic box."""
+    """Return the squared distances between rows of (m, 3) arrays, to the nearest images in a periodic box."""
     separation = b - a
     if box is not None:
         separation -= box * np.round(separation / box)

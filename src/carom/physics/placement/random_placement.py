@@ -5,8 +5,8 @@ test. New candidates replace colliding ones until each body has a candidate.
 
 Two grids cover the region of accepted spheres (`Occupancy`). A coarse cell holds at most one centre, since accepted
 spheres do not overlap. A fine cell is marked if every centre in it would overlap an accepted sphere; this rejects most
-candidates. The others are tested exactly against the centres in nearby cells, so the result equals a search through all
-spheres, bit for bit.
+candidates. The others are tested exactly against the centres in nearby cells, so the result is the same as with a
+search through all spheres, bit for bit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MOST_CELLS = 100_000_000  # most cells of the fine grid, one byte each
 # with more cells, the region is nearly empty: few candidates collide, and a plain search is fast
 MOST_CELLS_PER_BODY = 4000
 MARGIN = 1.0 + 1e-9  # allowance for the rounding of the positions of cells
-AT_ONCE = 4096  # number of spheres that are accepted together, for some 10 MB of cells
+AT_ONCE = 4096  # number of spheres that are accepted together, for about 10 MB of cells
 CELLS_AT_ONCE = 16  # number of cells examined at a time; most candidates touch something in the first of these
 
 
@@ -61,8 +61,8 @@ class _Grid:
     def offsets(self, nearest: float, farthest: float) -> IntArray:
         """Return the offsets from a cell to the cells within a range, the nearest first.
 
-        Two points of both cells may be as close as ``nearest``, and no two points are farther apart than ``farthest``,
-        in m.
+        A point of one cell may be as close as ``nearest`` (m) to a point of the other, and no two such points are
+        farther apart than ``farthest`` (m).
         """
         steps = math.ceil(nearest / self.cell) + 1
         line = np.arange(-steps, steps + 1)

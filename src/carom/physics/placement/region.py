@@ -152,7 +152,7 @@ def confined(region: Region, position: FloatArray, radius: FloatArray) -> FloatA
 
 
 def default_region(index: int, radius: FloatArray, units: UnitSystem) -> Region:
-    """Return a ball with the packing `DEFAULT_PACKING`."""
+    """Return a ball with the packing fraction `DEFAULT_PACKING`."""
     with np.errstate(over="ignore"):
         volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
         size = float(max(cube_root(volume), LEAST_SIZE * radius.max()))

@@ -23,9 +23,9 @@ from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.wall_shapes import shape_called
 
-TOUCHING = 1e-6  # walls this close, in sizes of a wall, touch: coordinates may be rounded to seven digits
+TOUCHING = 1e-6  # largest gap of touching walls over a wall's size: coordinates may be rounded to seven digits
 OPPOSED = 1e-12  # largest difference of the normals of parallel planes
-# longest step as a fraction of the run, if the distance of touching walls allows a longer one
+# shortest step as a fraction of the run, unless both walls are thin; steps are longer if the gap between them allows it
 LONGEST_STEP = 1.0 / 512.0
 MOST_STEPS = 4096  # most steps that are checked, for walls that oscillate close to each other
 HALVINGS = 3  # halvings of the sides of drawn triangles
@@ -47,7 +47,7 @@ def refuse_crossing_walls(scene: Scene, start: InitialBodies, solids: HalfSpaces
     is_thin = [False] * first + [shape.thin for shape in shapes]
     for one, points in _surfaces(scene, start, solids):
         touching = TOUCHING * float(np.sqrt(np.square(np.ptp(points, axis=0)).sum()))
-        # no point of a plate may be outside of another wall; of a hollow shape, some points may
+        # no point of a plate may be outside of another wall; some points of a hollow shape may be
         farthest = np.min if is_thin[one] else np.max
         for other in range(len(solids)):
             if other == one:
@@ -114,14 +114,14 @@ def _displacement(motion: WallMotion | None, time: float) -> FloatArray:
 
 
 def _fastest(motion: WallMotion) -> float:
-    """Return a bound of the speed of a wall, in m/s."""
+    """Return an upper bound of the speed of a wall, in m/s."""
     speeds = [np.sqrt(np.square(velocity).sum()) for velocity in (motion.velocity, *motion.velocities)]
     oscillation = np.sqrt(np.square(motion.amplitude).sum()) * 2.0 * np.pi * (motion.frequency or 0.0)
     return float(max(speeds) + oscillation)
 
 
 def _surfaces(scene: Scene, start: InitialBodies, solids: SolidsWithWalls) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the number of each wall and points on it, (k, 3) m, where its section puts it."""
+    """Yield the number of each wall, and points on it at the place given in its section, (k, 3) m."""
     first, centre = len(solids) - len(scene.wall), start.position.mean(axis=0)
     reach = float(np.abs(start.position - centre).max() + start.radius.max())
     fastest = max((_fastest(motion) for motion in solids.motions if motion is not None), default=0.0)
