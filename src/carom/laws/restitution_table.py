@@ -2,7 +2,7 @@
 
     e(v) = e₀ + Σ_k s_k max(0, v - v_k)
 
-with s_k the change of the slope at the speed v_k.
+where s_k is the change of slope at speed v_k.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class RestitutionTable(Section):
 
 
 def numbers(section: RestitutionTable) -> dict[str, float]:
-    """Return e₀, the speeds v_k and the changes of the slope; missing points of the table change nothing."""
+    """Return e₀, the speeds v_k and the changes of slope s_k, which are 0 for unused points of the record."""
     points = list(zip(section.speeds, section.restitutions, strict=True))
     slopes = [0.0, *((e2 - e1) / (v2 - v1) for (v1, e1), (v2, e2) in pairwise(points)), 0.0]
     bends = [after - before for before, after in pairwise(slopes)]
@@ -67,11 +67,11 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
         + p.bend_4 * max(0.0, approach - p.speed_4)
         + p.bend_5 * max(0.0, approach - p.speed_5)
     )
-    return max(0.0, min(1.0, e))  # the sums round
+    return max(0.0, min(1.0, e))  # rounding may leave this range
 
 
 def dissipates(p: Any) -> bool:
-    """Return True: a table without a value below 1 is rare, and only costs a little time."""
+    """Return True: a table without a value below 1 is rare, and the wrong answer costs only a little time."""
     return True
 
 

@@ -1,15 +1,15 @@
 """Restitution of viscoelastic spheres: faster impacts dissipate more.
 
-A Hertzian contact whose material is viscoelastic rebounds with a coefficient that depends on the closing speed v alone
-(Schwager & Pöschel 2008). Its Padé approximant (Müller & Pöschel, Phys. Rev. E 84, 021302, 2011) is within 0.01 of the
-solution of the equation of motion at any speed:
+A Hertzian contact between viscoelastic spheres has a coefficient of restitution that depends only on the closing speed
+v (Schwager & Pöschel 2008). Its Padé approximant (Müller & Pöschel, Phys. Rev. E 84, 021302, 2011) is within 0.01 of
+the solution of the equation of motion at any speed:
 
     e(v) = (1 + c₁ x) / (1 + b₁ x + b₂ x² + b₃ x³ + b₄ x⁴),    x ∝ v^{1/10} (√r/m)^{1/5}
 
 with the reduced radius r and the reduced mass m of the two bodies. For slow impacts, e = 1 - b₂ x² + … is the series
-1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one measured coefficient and its speed, which fix the
-factor of x for spheres like the measured spheres, and so the curve. If the scene also states the radius and the density
-of these spheres, larger bodies rebound faster and smaller bodies more slowly, as 1 - e ∝ 1/R for equal spheres of one
+1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one measured coefficient and its speed, which determine
+the factor of x for the measured spheres, and thus the curve. If the scene also states the radius and the density of
+these spheres, larger bodies rebound faster and smaller bodies more slowly, since 1 - e ∝ 1/R for equal spheres of one
 material. Otherwise all pairs of two materials have the same curve.
 """
 

@@ -19,22 +19,26 @@ FEWEST_FRAMES = 50
 AUTO_BYTES = 300_000_000  # largest "auto" recording: with many bodies, it gets fewer frames
 BYTES_PER_BODY_AND_FRAME = 60  # bytes for a centre, a quaternion, and about one arrow or edge
 
-MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine, unless a run would take
-FEWEST_STEPS = 1e6  # this many steps of `MAX_DT`: 1 s is no time scale of orbits, and would give a year 3 × 10⁷ steps
+MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
+# a run that would take more steps of `MAX_DT` has longer steps: 1 s is no time scale of orbits, and a year would take
+# 3 × 10⁷ steps
+FEWEST_STEPS = 1e6
 # largest strain of a packing in a step; a strain of 0.015 halves the stress at a packing fraction of 0.54
 STRAIN_PER_STEP = 1e-3
 STEPS_PER_OSCILLATION = 100  # fewest steps per oscillation of a wall: contacts are held against its mean velocity
 
-# bodies up to which the step grows; with more bodies, "auto" steps are a tenth of the fall time `FALL`
+# number of bodies up to which "auto" steps grow with the number; with more bodies, they are a tenth of the time of a
+# fall through the smallest radius
 STEP_GROWS_UP_TO = 100
-STEP_PER_BODY = 1e-3  # fraction of the fall time for each body: steps of few bodies are cheap, and may be shorter, for
-# accurate flights; bodies held by contacts always have the step for `STEP_GROWS_UP_TO` bodies (docs/physics.md, 3)
+# fraction of this fall time for each body: steps of few bodies are cheap, and may be shorter, for accurate flights;
+# bodies held by contacts always have the step for `STEP_GROWS_UP_TO` bodies (docs/physics.md, 3)
+STEP_PER_BODY = 1e-3
 
-# bodies without contacts up to which motion counts as smooth; with more, "auto" steps miss encounters, and
+# most bodies without contacts whose motion counts as smooth; with more, "auto" steps miss encounters, and fourth order
+# costs more than it gains
 SMOOTH_UP_TO = 8
-# fourth order costs more than it gains
 
-# bodies up to which the step rule examines each pair; with more bodies, that costs as much as gravity
+# most bodies for which the step rule examines each pair; with more bodies, that costs as much as gravity
 PAIRS_UP_TO = 100
 PAIR_FRACTION = 0.01  # step over the shortest time scale of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
 PULL_FRACTION = 0.02  # step over the time scale of the largest acceleration; a pair of equal bodies has half that scale
@@ -45,13 +49,14 @@ LATE_CFL = 0.5  # if impacts are resolved at the end of the step
 FREE_CFL = 1.0  # if times of impact are exact and no forces act, where shorter steps gain nothing
 
 
-ORBITS_UP_TO = 1000  # most bodies that orbit far apart without contacts; for 300 to 900 bodies, gauss-radau15 takes 0.6
-# times the time of leapfrog on circles, one to three times with encounters, at a thousandth of its error or less
+# most bodies for gauss-radau15 if they orbit far apart without contacts; for 300 to 900 bodies, it takes 0.6 times as
+# long as leapfrog on circles, one to three times as long with encounters, at a thousandth of the error or less
+ORBITS_UP_TO = 1000
 
 BOUNCES_UP_TO = 200  # most bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
 
 TREES = ("tree", "fast-multipole")  # methods that sum over boxes of bodies, with an error set by the opening angle
-TREE_FROM = 5000  # bodies from which "auto" chooses a tree, which takes a third to a half of the time of a direct sum
+TREE_FROM = 5000  # fewest bodies for which "auto" chooses a tree, which takes a third to a half as long as a direct sum
 
 HELD_PART = 0.01  # largest motion of a held body in a step, in radii: 600 steps per revolution of a rolling pair
 WIDEST_HELD_PART = 0.1
@@ -116,8 +121,8 @@ def largest_speed(scene: Scene) -> float:
 def most_steps(scene: Scene, first: float) -> float:
     """Return the largest number of steps of a run, given its first step (s) and the fastest conceivable contacts.
 
-    Bodies that fall onto another body reach its escape speed, v = √(2 G m/r). The velocity limit then allows
-    a step of κ r/v to the smallest body that slides or rolls there.
+    Bodies that fall onto another body reach its escape speed, v = √(2 G m/r). The velocity limit then allows the
+    smallest body, of radius r, that slides or rolls there a step of κ r/v, where κ is `cfl`.
     """
     duration, fixed, limit = scene.time.duration, scene.time.fixed_dt, cfl(scene)
     if fixed is not None or limit is None:
@@ -148,8 +153,8 @@ def integrator(scene: Scene) -> Integrator:
 def _meets_seldom(scene: Scene) -> bool:
     """Return whether encounters are rare, as for planets, moons and comets.
 
-    With leapfrog's steps of at most a second, eighty years of a comet took hours to compute. Gauss–Radau takes a
-    second.
+    With leapfrog's steps of at most a second, eighty years of a comet took hours to compute. Gauss–Radau integration
+    takes a second.
     """
     if not (
         interactions.contact(scene).modelled and interactions.gravity(scene).modelled and _bounces_on_curves(scene)
@@ -362,7 +367,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
 
 
 def wider_limits(scene: Scene, stride: float) -> StepLimits:
-    """Return limits for steps up to ``stride`` times longer, as long as contacts are detected and orbits resolved."""
+    """Return limits for steps up to ``stride`` times as long that still detect contacts and resolve orbits."""
     if scene.promise is not None:
         return accurate_limits(scene, scene.promise.refinement / stride, scene.promise.until)
 

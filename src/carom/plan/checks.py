@@ -27,7 +27,8 @@ from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
 
 EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
-AS_ON_EARTH = 0.01  # relative difference; the field is 0.2 % stronger at the poles, and 0.3 % weaker at the equator
+# largest relative difference from `EARTH`; the field is 0.2 % stronger at the poles, and 0.3 % weaker at the equator
+AS_ON_EARTH = 0.01
 NARROWEST = 4  # width of the narrowest box, in largest radii: two bodies side by side with the image of one
 LIGHTEST = 100.0  # kg/m³, density of the lightest solid; balls of cork have 200
 
@@ -48,7 +49,7 @@ SMALLEST_ANGLE = 0.1  # rad, angle below which a direct sum is as fast
 
 
 def refuse_impossible(scene: Scene) -> None:
-    """Refuse a scene that cannot run here.
+    """Refuse a scene that cannot run on this machine or in this installation.
 
     Raises
     ------
@@ -350,7 +351,7 @@ def doubts(scene: Scene) -> list[str]:
         if (doubts_of := shape_called(wall.shape).doubts) is not None:
             said = doubts_of(wall.section, _median_radius(scene), units)
             found += [f"wall.{index}.{wall.shape}: {sentence}" for sentence in said]
-    # masses that with the default radius give a density lower than any solid has
+    # masses that, with the default radius, give a density lower than that of any solid
     light = [
         (number, density)
         for number, body in enumerate(scene.body)

@@ -39,7 +39,8 @@ from carom.scene.parts import Part, in_order
 from carom.scene.units.dimension import LENGTH, TIME
 from carom.scene.wording import counted
 
-VARIANT_SECONDS = 10.0, 40.0  # s to compile kernels for a law, walls or a sheared box (docs/performance.md)
+# s, shortest and longest time to compile kernels for a law, walls or a sheared box (docs/performance.md)
+VARIANT_SECONDS = 10.0, 40.0
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Decides whether the bodies of a scene orbit a dominant one, and how far apart they are at the start.
+"""Decides whether the bodies of a scene orbit a dominant body, and how far apart they are at the start.
 
 Planets and comets keep their distances for many revolutions; integrators of orbits rely on this.
 """
@@ -19,13 +19,14 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
 DOMINANT = 0.99  # smallest fraction of the total mass in a dominant body
-# fewest revolutions of the innermost body for "auto"; for fewer, integrating to rounding with Gauss–Radau is cheap
+# fewest revolutions of the innermost body for which "auto" chooses wisdom-holman; for fewer, gauss-radau15 is cheap
 FEWEST_ORBITS = 1000
-# most bodies for "auto"; more bodies meet more often, and each encounter needs Gauss–Radau for all bodies
+# most bodies for wisdom-holman; more bodies meet more often, and gauss-radau15 integrates all bodies in each encounter
 MOST_BODIES = 100
-# least distance of two orbits for "auto", so that encounters are rare; Jupiter and Saturn are 8 apart
+# least distance of two orbits in Hill radii, so that encounters are rare; Jupiter and Saturn are 8 apart
 HILL_RADII_APART = 5.0
-LEAST_DISTANCE = 8.0  # smallest distance in sums of two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+# least distance of bodies far apart, in sums of their radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+LEAST_DISTANCE = 8.0
 WIDER = 1.0 + 1e-9  # factor on a distance that exceeds any rounding
 # most bodies that count as far apart, unless one dominates: in a contracting system, more would soon meet often
 MOST_APART = 32

@@ -109,7 +109,7 @@ def stabilisation(scene: Scene, contact: Part) -> Part:
 
 
 def load(scene: Scene) -> str:
-    """Return the force that presses contacts together; empty without one: every contact is then an impact."""
+    """Return the force that presses contacts together; empty if there is none, so that every contact is an impact."""
     if force := differing(scene):
         return force
     if scene.anchored and (field := pushing(scene)):
@@ -124,9 +124,9 @@ def load(scene: Scene) -> str:
 def pressing_wall(scene: Scene) -> str:
     """Return the kind of wall that presses without any other force; empty if there is none.
 
-    A body that moves along a curved wall with the speed v is pressed by m v²/f, with the radius of curvature f. On such
-    a wall, and on a wall that accelerates, bounces that dissipate come to an end. Elastic bounces never end; each is an
-    impact.
+    A body that moves along a curved wall at speed v is pressed against the wall by m v²/f, where f is the radius of
+    curvature. On such a wall, and on a wall that accelerates, bounces that dissipate come to an end. Elastic bounces
+    never end; each is an impact.
     """
     kinds = kinds_of_contacts(scene)
     if "restitution" not in functions_of(scene.contact.laws) and all(e.coefficients.restitution == 1 for e in kinds):
@@ -199,7 +199,7 @@ def torque(friction: Part) -> Part:
     return Part("torque", False, "the normal force acts on the centre")
 
 
-# The parts that a forced part needs in order to work. Their consequences, such as torques from friction, are decided as
+# The parts that a forced part needs in order to work. Other consequences, such as torques from friction, are decided as
 # for any scene.
 _NEEDS = {
     "potential": ("gravity",),

@@ -1,4 +1,4 @@
-"""Errors of a run that are known before it starts: sentences on impacts, bounces and orbits at a scene's steps."""
+"""Errors of a run that are known before it starts: sentences on impacts, bounces and orbits with the scene's steps."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.rest_speed import PER_STEP
 from carom.scene.units.dimension import TIME, VELOCITY
 
-EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
+EXACT_IMPACT = 1e-9  # largest relative error of the approach speed if an impact counts as exact
 LAGGING = 1e-3  # rad, largest lag of an orbit that is not worth a note
 
 
 def inexact_impacts(scene: Scene) -> str:
-    """Describe the error of an impact of two bodies that touch nothing else; empty if it is exact.
+    """Describe the error of an impact between two bodies that touch nothing else; empty if it is exact.
 
     The impulse follows exactly from the approach speed, but a force that varies within the step changes this speed.
     With self-gravity, the relative error is about a dt²/r, below rounding for small and fast bodies.
@@ -63,7 +63,7 @@ def inexact_impacts(scene: Scene) -> str:
 def inexact_orbits(scene: Scene) -> str:
     """Describe the lag at the end of orbits about a dominant body; empty if the lag is small or unknown.
 
-    With leapfrog, the angle of a circular orbit with the angular velocity ω lags by the fraction (ω dt)²/3
+    With leapfrog, the angle of a circular orbit with angular velocity ω lags by the fraction (ω dt)²/3
     (docs/physics.md).
     """
     if integrator(scene).name != "leapfrog" or scene.time.accuracy is not None or scene.count > TREE_FROM:
@@ -73,7 +73,7 @@ def inexact_orbits(scene: Scene) -> str:
         return ""
     turn = 2.0 * math.pi * turns / scene.time.duration * (scene.time.fixed_dt or largest_step(scene))  # rad in a step
     if fraction is not None and scene.time.fixed_dt is None:
-        # this limit of the step is for the mean mass, the dominant mass divided by the number of bodies
+        # this limit of the step uses the mean mass, here the dominant mass divided by the number of bodies
         turn = min(turn, fraction / scene.count**0.25)
     lag = 2.0 * math.pi * turns * turn * turn / 3.0
     if not LAGGING < lag < math.inf:
@@ -103,13 +103,14 @@ def ended_bounces(scene: Scene) -> str:
 
 
 def _error_by_gravity(scene: Scene) -> float:
-    """Estimate the relative error of an approach speed by self-gravity in a step.
+    """Estimate the relative error of an approach speed that self-gravity causes in a step.
 
     The acceleration a at a contact is at most G M / r², with M twice the largest mass. The velocity limit allows a step
-    of at most κ r/v. The acceleration limit allows a step in which a body falls by at most Δx from rest.
+    of at most κ r/v, where κ is `cfl`. The acceleration limit allows a step in which a body falls by at most Δx from
+    rest.
     """
     r, slowest = smallest_radius(scene), largest_speed(scene)
-    # radius of each body, and mean mass of each group
+    # mass of each body, and mean mass of each group
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
     a = 2.0 * scene.gravity.constant * max(masses + [float(columns.mass.max()) for columns in scene.data]) / (r * r)

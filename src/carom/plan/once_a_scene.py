@@ -1,7 +1,8 @@
 """`once_a_scene`: a decision about a scene, made when it is first needed.
 
-A run of three bodies asked 140 times whether anything can touch, and 50 times for the integrator, and the answers took
-half of the time to set up a second `Space`. Scenes are immutable, so an answer holds as long as its scene exists.
+A run of three bodies asked 140 times whether anything can touch, and 50 times for the integrator. Finding the answers
+took half of the time to set up a second `Space`. Scenes are immutable, so an answer is valid as long as its scene
+exists.
 """
 
 from __future__ import annotations

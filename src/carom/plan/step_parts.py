@@ -1,4 +1,4 @@
-"""The optional parts of a step, with what requires them, in the order in which hooks call them."""
+"""The optional parts of a step, with the conditions that require them, in the order in which hooks call them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class StepPart(NamedTuple):
 
     @property
     def is_there(self) -> bool:
-        """Whether the part was not removed from this installation."""
+        """Whether this installation has the part."""
         try:
             return importlib.util.find_spec(self.target.partition(":")[0]) is not None
         except ModuleNotFoundError:  # the part's package was removed
@@ -92,5 +92,5 @@ def refusals_of(scene: Scene) -> list[str]:
 
 
 def required(scene: Scene, needs: Requirements, recorded: bool) -> list[str]:
-    """Return the names of the parts that a scene requires; ``recorded``: whether its contacts are recorded."""
+    """Return the names of the parts that a scene requires; ``recorded`` states whether its contacts are recorded."""
     return [name for name, part in STEP_PARTS.items() if part.is_required(scene, needs, recorded)]

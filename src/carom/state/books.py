@@ -54,7 +54,7 @@ class Extremes:
     most_taken: float = 0.0  # J, largest restitution + friction in the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
-    dissipation_error: Extreme | None = None  # energy moved against `diagnostics.dissipation`, relative to the scale
+    dissipation_error: Extreme | None = None  # wrong work by `diagnostics.dissipation`, relative to the scale
 
     @property
     def energy_fault(self) -> Extreme | None:
@@ -68,7 +68,7 @@ class Extremes:
         return Extremes(*_values(self))
 
     def named(self, names: Names) -> Extremes:
-        """Return the extremes with planes and bodies separated, both by their names."""
+        """Return the extremes with separate numbers of bodies and planes, and with their names."""
         n = len(names.bodies)
 
         def named(extreme: Extreme) -> Extreme:
@@ -85,7 +85,7 @@ class Extremes:
     def highlights(
         self, names: Names, units: UnitSystem, energy_error: str = "integration error at a check"
     ) -> tuple[Event, ...]:
-        """Return the extremes of contacts and energy as events in order of time, with a name for the energy error."""
+        """Return the extremes of contacts and energy as events in order of time; ``energy_error`` names the error."""
         known = self.named(names)
         overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
         deepest = 0.0 if overlap is None else 100.0 * overlap.value
@@ -167,4 +167,4 @@ class Books:
     phase: str
     limits: tuple[str, ...]  # limits of the method that were reached and reported so far
     pace: PaceTally
-    wrong_work: tuple[WrongWork, ...] = ()  # violations by `diagnostics.dissipation`; empty if there were none
+    wrong_work: tuple[WrongWork, ...] = ()  # violations found by `diagnostics.dissipation`; empty if there were none

@@ -121,7 +121,7 @@ class OrbitCheckpoint:
     velocity: Annotated[FloatArray, Saved("orbit_velocity", "m/s", BODY, 3)]  # (n, 3)
 
     def check(self) -> None:
-        """Raise ValueError if no integration has such a state."""
+        """Raise ValueError if no integration can have such a state."""
         series = EqualSteps(*self.series.tolist())
         if not np.array_equal(np.sort(self.order), np.arange(len(self.order))):
             raise ValueError("orbit_order is not an order of the bodies")
@@ -136,7 +136,7 @@ class IntegratorCheckpoint:
     With Wisdom–Holman integration, arrays have rows only in close encounters.
     """
 
-    # `BY_LEAPFROG`, or 0 if the last step predicts nothing
+    # length of the last step; 0 if it does not predict the next step; `BY_LEAPFROG` after leapfrog has taken over
     last_dt: Annotated[float, Saved("integrator_last_dt", "s")]
     # (n, 3) m, accumulated rounding errors of the positions
     position_rest: Annotated[FloatArray, Saved("integrator_position_rest", "m", ENCOUNTER, 3)]
@@ -148,7 +148,7 @@ class IntegratorCheckpoint:
     orbits: OrbitCheckpoint | None = None  # None with Gauss–Radau integration alone
 
     def check(self) -> None:
-        """Raise ValueError if no integration has such a state."""
+        """Raise ValueError if no integration can have such a state."""
         if self.orbits is None and not len(self.accepted):
             raise ValueError("integrator_accepted has no values")
 
@@ -159,7 +159,7 @@ class Checkpoint:
 
     step: int
     time: Annotated[float, Saved("time", "s")]
-    # s, the smoothed step, without the cut at the end of a run
+    # s, the smoothed step, before the cut at the end of a run
     previous_dt: Annotated[float, Saved("previous_dt", "s")]
     position: Annotated[FloatArray, Saved("position", "m", BODY, 3, is_squared=True)]  # (n, 3)
     velocity: Annotated[FloatArray, Saved("velocity", "m/s", BODY, 3, is_squared=True)]  # (n, 3)

@@ -15,8 +15,8 @@ NamedEnergies = tuple[tuple[str, float], ...]  # J, energies by ledger entry or 
 class Ledger:
     """Energy moved by contacts, forces without a potential and moving walls since the start of the run, in joules.
 
-    Contacts are summed from the impulses themselves. Dissipation is positive when energy leaves the bodies,
-    stabilisation when it enters them.
+    The energy moved by contacts is computed from the impulses themselves. Dissipation is positive when energy leaves
+    the bodies, stabilisation when it enters them.
     """
 
     restitution: Annotated[float, Saved("ledger_restitution", "J")] = 0.0  # energy removed by normal impulses
@@ -102,11 +102,11 @@ class Energy:
 
     @property
     def relative_error(self) -> float:
-        """|integration error| relative to the energy scale; 0 within the rounding of the total."""
+        """Magnitude of the integration error relative to the energy scale; 0 if it may be rounding of the total."""
         return abs(self.relative_change(self.integration_error))
 
     def relative_change(self, change: float) -> float:
-        """Return a change of the total (J) relative to the energy scale; 0 within the rounding of the total."""
+        """Return a change of the total (J) relative to the energy scale; 0 if it may be rounding of the total."""
         return 0.0 if abs(change) <= self.rounding else self.relative(change)
 
     def relative(self, energy: float) -> float:

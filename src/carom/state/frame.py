@@ -75,7 +75,7 @@ class Frame:
     sweeps: int  # passes over the colours in this step
     phase: str  # "warm-up", "free", "colliding" or "settled"
     events: tuple[Event, ...]  # events since the previous frame, in order of time
-    previous_dt: float  # s, the smoothed step, without the cut at the end of a run
+    previous_dt: float  # s, the smoothed step, before the cut at the end of a run
     memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
     # |p - expected|, relative to the largest Σ m |v| so far; None if anything is fixed
@@ -86,7 +86,7 @@ class Frame:
     slot: int | None = None  # slot of the frame's arrays in a `FrameStore`; None if the frame owns them
     # (k,) `CONTACT_ROW` of the impacts since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
-    impacts_left_out: int = 0  # number of further impacts, all of them with smaller impulses than `impacts`
+    impacts_left_out: int = 0  # number of impacts that ``impacts`` omits; they have the smallest impulses
     impact_sums: FloatArray | None = None  # `ImpactSums.flat` over all impacts since the previous frame; None: unknown
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW` of this step's contacts, by pair; None if not requested
     angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J over the impacts of this step

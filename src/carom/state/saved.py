@@ -21,7 +21,7 @@ INLET, OUTLET, PISTON = "inlet", "outlet", "piston"
 class Saved:
     """One component of a checkpoint. A field with two components has columns of both; the second may be absent."""
 
-    name: str  # name of the component; prefix of the names for energies by name
+    name: str  # name of the component; for energies by name, the prefix of the components' names
     unit: str = ""  # SI unit; empty for pure numbers
     per: str = RUN
     width: int = 1  # number of values in a row
@@ -43,7 +43,7 @@ def saved_fields(owner: Any) -> dict[str, tuple[Saved, ...]]:
 
 
 def saved_parts(owner: Any) -> dict[str, type[Any]]:
-    """Return the classes with saved fields among a class's fields, by field name; such a field may be None."""
+    """Return the fields of a class whose types have saved fields themselves, with these types; a field may be None."""
     return _table(owner)[1]
 
 

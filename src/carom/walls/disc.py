@@ -1,6 +1,6 @@
 """A flat round plate with an edge, solid from both sides.
 
-For a point at the distance ρ from the axis, the nearest point of the plate is at min(ρ, R), in the same direction.
+For a point at distance ρ from the axis, the nearest point of the plate is at min(ρ, R), in the same direction.
 """
 
 from __future__ import annotations

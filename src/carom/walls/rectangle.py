@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from carom.arrays import FloatArray
 from carom.extend import LENGTH, Mesh, Real, Section, WallShape
 
-LARGEST_COSINE = 1e-9  # cosine of the angle between the sides; rounding to ten digits causes less
+LARGEST_COSINE = 1e-9  # largest cosine of the angle between the sides; rounding to ten digits causes less
 FIELDS = (
     *("x", "y", "z", "one_x", "one_y", "one_z", "other_x", "other_y", "other_z"),
     *("normal_x", "normal_y", "normal_z", "half_one", "half_other"),
@@ -72,7 +72,7 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
 
 
 def periodic(section: Rectangle, axis: int, period: float) -> Mapping[str, float] | None:
-    """Return the half of a side along the axis as endless, if the side is at least as long as the period."""
+    """Return an endless half of the side along the axis, if this side is at least as long as the period."""
     for name, side in (("half_one", section.side), ("half_other", section.other_side)):
         if np.count_nonzero(side) == 1 and abs(side[axis]) >= period:
             return {name: math.inf}

@@ -1,7 +1,7 @@
 """A mesh of triangles from a file, solid from both sides.
 
-Each triangle is a facet, so that a body touches several at once (`carom.walls.mesh.facet`). carom reads the file
-(`carom.walls.mesh.mesh_file`) once and keeps its content in the section, which a recording contains.
+Each triangle is a facet, so that a body can touch several at once (`carom.walls.mesh.facet`). carom reads the file
+(`carom.walls.mesh.mesh_file`) once and keeps its content in the section, so that recordings contain it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from carom.extend import LENGTH, Facets, Mesh, Positive, Real, Section, UnitSyst
 from carom.walls.mesh.facet_fields import FIELDS, fields_of
 from carom.walls.mesh.mesh_file import enclosed, read, unpacked
 
-SMALLEST, LARGEST = 1.0, 2000.0  # width of a mesh, in radii of the bodies, beyond which its unit is doubtful
+SMALLEST, LARGEST = 1.0, 2000.0  # widths of a mesh, in radii of the bodies, beyond which its unit is doubtful
 LARGEST_COSINE = 1e-9  # largest cosine of the angle between the axes; rounding to ten digits causes less
 
 
@@ -50,7 +50,7 @@ class MeshWall(Section):
 
 
 def _placed(section: MeshWall) -> Mesh:
-    """Return the triangles where the section puts them."""
+    """Return the triangles at the place given in the section."""
     corners, triangles = unpacked(section.content)
     one, third = unit_vector(section.x_axis), unit_vector(section.z_axis)
     axes = one, np.cross(third, one), third
@@ -70,7 +70,7 @@ def mesh(section: MeshWall, centre: FloatArray, reach: float) -> Mesh:
 
 
 def doubts(section: MeshWall, radius: float, units: UnitSystem) -> list[str]:
-    """Say if a mesh is probably in another unit, or inside out; ``radius`` is the median radius of the bodies in m."""
+    """Return doubts about the unit and the normals of a mesh; ``radius`` is the median radius of the bodies in m."""
     corners, triangles, _ = _placed(section)
     size, found = float(np.ptp(corners, axis=0).max()), list[str]()
     if not SMALLEST * radius <= size <= LARGEST * radius:

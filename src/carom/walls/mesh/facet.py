@@ -4,11 +4,11 @@ A body touches the mesh where the distance has a local minimum: inside of a tria
 near a mesh is divided among triangles, edges and corners (Voronoi regions): a point belongs to a triangle if it lies
 above or below the triangle, to an edge if it lies beyond the edge for both triangles of the edge, and to a corner if it
 lies beyond the corner for all edges of the corner. An edge or a corner that several triangles share belongs to the
-first of these triangles. No other triangle touches a body there, so a body that rolls over an edge of flat neighbours,
-or hits one, meets one plane.
+first of these triangles. No other triangle touches a body there, so a body that rolls over the edge between coplanar
+neighbours, or hits such an edge, meets one plane.
 
-Where neighbours are flat, a triangle continues as a plane beyond their common edge, and beyond a corner where all edges
-are flat: a body that rolls on it in a step may leave it, and the neighbour takes over as the next step begins.
+If neighbours are coplanar, a triangle continues as a plane beyond their common edge, and beyond a corner where all
+edges are flat: a body that rolls on it in a step may leave it, and the neighbour takes over as the next step begins.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def _corner(p: Any, k: int) -> tuple[float, float, float]:
 
 @kernel
 def _insides(p: Any, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return the distance from each edge in the plane of a triangle, in m; negative beyond it."""
+    """Return the distance from each edge in the plane of a triangle, in m; negative beyond the edge."""
     one = _beyond(x - p.corner_0x, y - p.corner_0y, z - p.corner_0z, p.inward_0x, p.inward_0y, p.inward_0z)
     two = _beyond(x - p.corner_1x, y - p.corner_1y, z - p.corner_1z, p.inward_1x, p.inward_1y, p.inward_1z)
     three = _beyond(x - p.corner_2x, y - p.corner_2y, z - p.corner_2z, p.inward_2x, p.inward_2y, p.inward_2z)
@@ -98,7 +98,7 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
 
 @kernel
 def _is_within(inside: float, kind: float, slack: float) -> bool:
-    """Return whether a point is on this side of an edge; flat neighbours share no point."""
+    """Return whether a point is on this side of an edge; coplanar neighbours share no point."""
     return inside > slack if kind == FLAT_OTHER else inside >= -slack
 
 
@@ -110,7 +110,7 @@ def touches(surface: Any, facet: int, x: float, y: float, z: float) -> bool:
     one, two, three = _insides(p, x, y, z)
     if _is_within(one, p.edge_0, slack) and _is_within(two, p.edge_1, slack) and _is_within(three, p.edge_2, slack):
         return True
-    # the point is above an edge of a flat neighbour, which touches in place of this triangle
+    # the point is above the edge of a coplanar neighbour, which touches in place of this triangle
     if one >= 0.0 and two >= 0.0 and three >= 0.0:
         return False
     edge, place, fx, fy, fz = _on_border(p, x, y, z)
@@ -130,7 +130,7 @@ def touches(surface: Any, facet: int, x: float, y: float, z: float) -> bool:
 
 @kernel
 def _is_at_corner(surface: Any, facet: int, k: int, x: float, y: float, z: float) -> bool:
-    """Return whether a point belongs to a corner of a triangle, which is the first with this corner."""
+    """Return whether a point belongs to a corner of a triangle, and this triangle is the first with the corner."""
     p = surface[facet]
     if _kind_of_corner(p, k) != OWN:
         return False

@@ -1,6 +1,6 @@
 """The fields of the triangles of a mesh: corners, normals, and the kinds of their edges and corners.
 
-This module needs no compiler, because commands that only read a scene do not load the compiler.
+This module must work without the compiler, which commands that only read a scene do not load.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ CORNERS = tuple(f"corner_{k}{axis}" for k in range(3) for axis in "xyz")
 NORMAL = ("normal_x", "normal_y", "normal_z")
 # unit vector in the plane, from edge k into the triangle
 INWARD = tuple(f"inward_{k}{axis}" for k in range(3) for axis in "xyz")
-# this vector of the neighbour; 0 without a neighbour
+# the same vector of the neighbour at edge k; 0 without a neighbour
 ACROSS = tuple(f"across_{k}{axis}" for k in range(3) for axis in "xyz")
-# kind of edge k, from corner k to the next corner: `FREE`, `OWN`, `OTHER` or `FLAT`
+# kind of edge k, from corner k to the next corner: `FREE`, `OWN`, `OTHER`, `FLAT_OWN` or `FLAT_OTHER`
 EDGES = tuple(f"edge_{k}" for k in range(3))
 # number of the next triangle with corner k, minus the number of this triangle
 TURNS = tuple(f"turn_{k}" for k in range(3))
@@ -25,7 +25,7 @@ TIPS = tuple(f"tip_{k}" for k in range(3))
 FIELDS = (*CORNERS, *NORMAL, *INWARD, *ACROSS, *EDGES, *TURNS, *SPOTS, *TIPS)
 # kinds of edges and corners; flat edges and corners touch nothing
 FREE, OWN, OTHER, FLAT_OWN, FLAT_OTHER = 0.0, 1.0, 2.0, 3.0, 4.0
-# rad, angle between neighbours that are flat; coordinates of seven digits turn a triangle by 1e-6, if it is not small
+# rad, largest angle between coplanar neighbours; coordinates of seven digits turn a triangle by 1e-6 if it is not small
 FLAT = 1e-5
 
 
@@ -70,7 +70,7 @@ def _neighbours(triangles: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _rings(triangles: IntArray) -> tuple[IntArray, BoolArray]:
-    """Return the next place 3 f + k of the same corner, (f, 3), in a ring, and which are the first of each corner."""
+    """Return the next place 3 f + k of each corner, (f, 3), in a ring, and whether a place is the corner's first."""
     flat = triangles.reshape(-1)
     order = np.argsort(flat, kind="stable")
     begins = np.append(True, flat[order[1:]] != flat[order[:-1]])

@@ -27,7 +27,7 @@ def read(path: Path, called: str) -> str:
         raise SceneError(f"{called}: not a mesh in STL, OBJ or PLY; convert it, for example with Blender or MeshLab")
     try:
         size = path.stat().st_size if path.is_file() else None
-    except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
+    except (OSError, ValueError) as error:  # a name with a zero byte raises ValueError
         raise SceneError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     if size is None:
         raise SceneError(f"{path}: cannot be read: {'it is a folder' if path.is_dir() else 'no such file'}")
@@ -50,7 +50,7 @@ def read(path: Path, called: str) -> str:
 
 
 def _problem(corners: FloatArray, triangles: IntArray) -> str:
-    """Say why triangles form no wall; empty if they form a wall."""
+    """Return the reason why triangles form no wall; empty if they form a wall."""
     if len(triangles) == 0:
         return "no triangles in it; is it a mesh in this format?"
     if len(triangles) > MOST_TRIANGLES:
