@@ -82,7 +82,7 @@ class PairSums(NamedTuple):
 
 
 class ImpactSums(NamedTuple):
-    """Sums over all impacts between two frames, recorded one by one or not, and over the bodies in the later frame."""
+    """Sums over all impacts between two frames, recorded singly or not, and over the bodies in the later frame."""
 
     impacts: float
     # number of collisions of movable bodies: two in an impact of two bodies, one in an impact on a plane

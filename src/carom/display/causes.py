@@ -43,7 +43,7 @@ _NODE = 8.0  # points, radius of a node
 _WIDEST = 4.0  # points, radius of the line of a large impulse
 _HEIGHT, _LETTER, _BORDER = 26.0, 7.0, 12.0  # points: height of a label, mean width of a letter, width of both borders
 _GAP, _WIDE = 24.0, 180.0  # points: smallest gap between neighbouring labels; usual distance of neighbours
-_ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in the order of preference
+_ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in order of preference
 MOST_EDGES = 200  # largest number of edges that are drawn: those with the largest shares
 _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
     *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
@@ -153,7 +153,7 @@ class CauseGraph:
         return place
 
     def _steps(self) -> Iterator[list[int]]:
-        """Yield the nodes by their distance from the asked bodies; nodes without a path to these come last."""
+        """Yield the nodes by their distance from the bodies in question; nodes without a path to these come last."""
         left, step = set(range(self.asked, len(self.names))), list(range(self.asked))
         while step:
             yield step

@@ -104,7 +104,7 @@ class CloseUp:
     poses: Sequence[View]  # poses of the camera at the times of a movie's clock
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
-        """Return a view of the two bodies as solids, with all others as thin wires."""
+        """Return a view of the two bodies as solids, with all other bodies as thin wires."""
         arrows = NORMAL, IMPULSE, SPIN, BEFORE, VELOCITY
         contents = [BODIES, FOLLOWED, EDGE, *arrows, LABELS, paths.BODIES, *surroundings(header)]
         contents += [f"{LEGEND}/**", f"{FIELD}/**"] if self.legend.entries else []

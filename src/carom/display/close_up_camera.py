@@ -27,7 +27,7 @@ def shown_whole(radius: FloatArray) -> BoolArray:
 
 
 def lengths(vectors: FloatArray | None) -> FloatArray:
-    """Return those of the vectors (..., 3) that are not short, (k, 3), divided by the length of the longest."""
+    """Return the vectors (..., 3) that are not short, as (k, 3), divided by the length of the longest."""
     if vectors is None:
         return np.zeros((0, 3))
     each = vectors.reshape(-1, 3)

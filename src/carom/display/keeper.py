@@ -141,7 +141,7 @@ class Door:
             return is_ours(ours.getsockname(), self.address, self._table)
 
     def serve(self, port: int) -> None:
-        """Wait `_POLL` for a connection; forward it to a port in the namespace."""
+        """Wait up to `_POLL` for a connection; forward it to a port in the namespace."""
         try:
             connection, peer = self._listener.accept()
         except TimeoutError:

@@ -41,7 +41,7 @@ _SPACE = (BODIES, GRAPH)
 MOST_NAMED = 7  # largest number of bodies with an entry each, so that the scales of arrows remain visible
 _LEAST_NAMED = 2  # smallest number of lines about bodies in a legend
 
-_TINY = -6  # largest power of ten that is written once, as a common factor of the numbers of a scale
+_TINY = -6  # largest power of ten that is written as a common factor of the numbers of a scale
 _KEPT = "\u00a0"  # a space at which no line is broken
 _ROW = 25.0  # points, distance from one line to the next
 _MARGIN = 5.0  # points, margin around the lines

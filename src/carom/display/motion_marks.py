@@ -21,7 +21,7 @@ _LENGTH = 0.13  # length of an arrow, in heights of the view
 _THICK = 0.009  # radius of an arrow, in heights of the view
 _BESIDE = 0.55  # distance of a plane's arrow from the middle of the view, in half widths of the view
 _OUTSIDE = 1.06  # radius of the arc around a rotating wall, in radii of the wall; also for the arrows of a box
-_ARC = np.linspace(-0.45, 0.45, 25)  # rad, from its beginning to its end, about the highest point
+_ARC = np.linspace(-0.45, 0.45, 25)  # rad, angles of the arc from its beginning to its end, about the highest point
 _HEAD = 6  # number of points of the arc that its final arrow replaces
 
 _Arrow = tuple[FloatArray, FloatArray]  # origin and vector, (3,) m

@@ -173,9 +173,9 @@ def at_impact(
     """Return the instant of an impact within a repeated step; None if the pair has no impact before the step ends.
 
     The frame of the instant holds positions and contacts, and its state holds the quantities that jump at the instant.
-    Among several impacts of the pair, the nearest to the time ``near`` (s) is chosen, and among equally near ones the
-    fastest. If ``near`` is the end of the step, the fastest impact is chosen. An impact within a nanosecond of the end
-    of the step is shown at this end, and found only with ``at_end``.
+    Among several impacts of the pair, the nearest to the time ``near`` (s) is chosen, and among equally near impacts
+    the fastest. If ``near`` is the end of the step, the fastest impact is chosen. An impact within a nanosecond of the
+    end of the step is shown at this end, and found only with ``at_end``.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]

@@ -50,7 +50,7 @@ class ContactTorques:
     samples: list[ContactTorque] = field(default_factory=list)
 
     def add(self, sample: ContactTorque, largest: float, noise: float) -> None:
-        """Keep a torque that exceeds the noise (N m s), and is not small beside the largest that its impulses allow."""
+        """Keep a torque above the noise (N m s) that is not small beside the largest torque that its impulses allow."""
         size = float(lengths(sample.ways).min())
         if size > max(RUBBED * largest, CLEAR * noise) and len(self.samples) < MOST_SAMPLES:
             self.samples.append(sample)

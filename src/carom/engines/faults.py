@@ -22,7 +22,7 @@ SPREADS = 6.0
 class Tolerances:
     """Largest errors that do not violate a law."""
 
-    energy: float = 1e-3  # change of a cluster's energy between two frames, relative
+    energy: float = 1e-3  # relative change of a cluster's energy between two frames
     drift: float = 1e-2  # change of the total energy since the start, over the energy scale
     momentum: float = 1e-3  # change of a cluster's momentum, over its Σ m |v|
     angular_momentum: float = 1e-3  # change of a cluster's angular momentum, over its Σ (m |x| |v| + I |ω|)

@@ -282,7 +282,7 @@ class LawAudit:
         potentials: tuple[float, float] | None,
         found: AuditFinding,
     ) -> Iterator[Fault]:
-        """Compare the energy of every cluster with known laws; book the energy absorbed by contacts."""
+        """Compare the energy of every cluster with known laws; record the energy absorbed by contacts."""
         setup, g = self._setup, self._setup.gravity
         dt, strength = now.time - before.time, setup.field_strength
         kinetic = [moment.kinetic(setup) for moment in (before, now)]

@@ -159,8 +159,8 @@ class MissedImpacts:
     def unusual(self) -> Iterator[Unresolved]:
         """Yield the impacts that took more steps than usual; none if the engine has no usual number.
 
-        Engines that find contacts within a margin resolve slow impacts earlier than fast ones. An impact is therefore
-        also compared with only those impacts that are not much slower.
+        Engines that find contacts within a margin resolve slow impacts earlier than fast impacts. An impact is
+        therefore also compared with only those impacts that are not much slower.
         """
         speed, steps = np.array(self._resolved, dtype=np.float64).reshape(-1, 2).T
         for impact in self._late:

@@ -243,7 +243,7 @@ class Observer:
         return found, contacts, rows
 
     def named(self, known: Any) -> Any:
-        """Return the contacts that the engine reports, (m,) `CONTACT` or pairs (m, 2); refuse invalid ones."""
+        """Return the contacts that the engine reports, (m,) `CONTACT` or pairs (m, 2); refuse invalid contacts."""
         ends = len(self.setup) + len(self.setup.planes)
         if has_forces(known) or self.setup.forces:
             if not has_forces(known):

@@ -19,7 +19,9 @@ from carom.engines.source import Setup
 
 ALIKE = 9  # impacts at neighbouring speeds that give the expected coefficient of restitution
 FEWEST = 3  # smallest number of impacts between the same materials
-SLOWER = 0.75  # fraction of an impact's speed below which others are slower; engines stop rebounds below some speed
+# Fraction of an impact's speed below which other impacts are slower. Engines stop rebounds below a speed that states
+# show only roughly.
+SLOWER = 0.75
 # Smallest deviation of a coefficient of restitution. The coefficients of soft contacts vary by 0.07 with the phase.
 OFF = 0.1
 OVER = 0.05  # change of velocity in the next frame, over the impact's speed, that shows a lasting contact

@@ -27,7 +27,7 @@ CONTACT = np.dtype(
         ("j", np.int64),
         ("point", np.float64, 3),  # m
         ("normal", np.float64, 3),  # (3,) unit vector from i to j
-        ("force", np.float64),  # N, along the normal on j; the opposite acts on i
+        ("force", np.float64),  # N, along the normal on j; the opposite force acts on i
         ("friction", np.float64, 3),  # N, the tangential force on j
     ]
 )

@@ -1,6 +1,6 @@
 """Contact laws: how a contact rebounds, slides, rolls and twists.
 
-`COULOMB` is the law of scenes that choose none. A scene selects another law by ``contact.law``. It may select several
+`COULOMB` is the law of scenes that choose no law. A scene selects another law by ``contact.law``. It may select several
 laws if they define different functions, such as a restitution and a rolling resistance. The coefficients of a law are
 in a section ``[contact.NAME]``, or in a section NAME of a material, a pair of materials or a plane.
 """
@@ -37,7 +37,7 @@ class ContactLaw:
     ``static_friction``, ``kinetic_friction``) and of the law's section. None selects the function of Coulomb's law.
 
     An angular impulse acts on body j, and the opposite impulse on body i. The function receives the angular impulse
-    that would end the relative rotation, and returns the exerted one. The exerted impulse must not be larger, since a
+    that would end the relative rotation, and returns the exerted angular impulse, which must not be larger, since a
     contact only dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m or, at a plane, the radius of
     the body.
     """

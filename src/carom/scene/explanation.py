@@ -25,7 +25,7 @@ from carom.scene.units.system import UnitSystem
 
 LONGEST = 80  # characters of a key or a given text that messages show and compare
 MOST = 4  # largest number of places that a message lists
-ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # least similarity of keys within a section, and across sections
+ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # smallest similarity of keys within a section, and across sections
 SHORTEST = 3  # smallest number of characters of an abbreviated key
 OTHER_WORDS = {
     **dict.fromkeys(("sphere", "spheres", "ball", "balls", "particle"), "body"),
@@ -158,7 +158,7 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
 
 
 def written_path(detail: Any, data: Any) -> KeyPath:
-    """Return the path as the user wrote it: a radius that is a number has no `min`, and a vector has no `2`."""
+    """Return the path as the user wrote it, such as ``radius``, not ``radius.min``, for a radius that is a number."""
     members = ("float", "nan", "literal")  # members of unions, which Pydantic adds to the path
     path: KeyPath = tuple(
         key

@@ -1,4 +1,4 @@
-"""The parts of installed packages that a scene uses, their names in a recording, and the missing ones."""
+"""The parts of installed packages that a scene uses, their names in a recording, and the missing parts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forces of installed packages: the classes that a package fills, and the search for a force by its name."""
+"""Forces of installed packages: the classes that a package instantiates, and the search for a force by its name."""
 
 from __future__ import annotations
 

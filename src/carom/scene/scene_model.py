@@ -167,7 +167,7 @@ class SceneModel(Forces, Heading):
         return [wall.name or f"{wall.shape} {index}" for index, wall in enumerate(self.wall)]
 
     def promising(self, promise: Promise) -> Self:
-        """Return this scene with a promise, also in its text."""
+        """Return this scene with a promise, which its text also states."""
         values = promise.model_dump(exclude_none=True)
         lines = [f"{key} = {list(value) if isinstance(value, tuple) else value!r}\n" for key, value in values.items()]
         promised = self.model_copy(update={"promise": promise})

@@ -70,7 +70,7 @@ class HalfSpaces:
 
     @property
     def owner(self) -> IntArray:
-        """The number of each end of contacts among them: their own, followed by the numbers of walls of facets."""
+        """The number of the plane or wall of each end of a contact; a facet has the number of its wall."""
         return np.arange(len(self))
 
     @property
@@ -110,7 +110,7 @@ class HalfSpaces:
 
     @property
     def guided(self) -> Any:
-        """The planes that contacts move; None without any."""
+        """The planes that contacts move; None if there are none."""
         return None
 
     @property

@@ -79,7 +79,7 @@ class Selection:
         return join_some(ends.reshape(-1, 2), self._numbers, self._bodies_in_all)
 
     def _bodies(self, chunk: Chunk) -> Chunk:
-        """Keep only the kept bodies' values of lists with one value per body, and other lists unchanged."""
+        """In lists with one value per body, keep only the values of the kept bodies; other lists are unchanged."""
         columns = {}
         for name in chunk.components:
             lengths = pc.list_value_length(chunk.batch[name])

@@ -75,7 +75,7 @@ def beside(path: Path, part: str) -> Path:
 
 
 def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
-    """Raise RecordingError if the suffix of a file names no format, by default of `carom.registry`."""
+    """Raise RecordingError if a file's suffix names none of the formats, by default those of `carom.registry`."""
     if formats is None:
         formats = [f".{name}" for name in registry.names("export_formats")]
     if path.suffix not in formats:

@@ -75,7 +75,7 @@ TRAILS = "trails"
 FIELD = "field"  # entity of the arrow of a uniform field, and of axes
 
 
-# Overrides with which a view draws bodies: other colours than the recorded ones, and a minimum size on the screen.
+# Overrides with which a view draws bodies: colours other than the recorded colours, and a minimum size on the screen.
 # Spheres have their true radii in metres. For bodies smaller than two points of the screen, the view also draws a dot
 # of fixed size at the recorded centre, so the file does not grow.
 
@@ -135,7 +135,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     view = bodies_eye(camera, area, added)
     has_contacts = header.collides and not is_crowded(header)
     name = "Bodies and contacts" if has_contacts else "Bodies"
-    # without carom, nobody has checked whether names overlap; a few names hardly do
+    # without carom, nobody has checked whether names overlap; a few names rarely overlap
     own = tuple(header.names) if added.legend is None and not area.rendered and header.bodies <= _MOST_NAMED else ()
     overrides = _drawn_bodies(header, view, area, added.recoloured, added.named or (own if any(own) else ()))
     overrides |= _edges(header, area.theme, wide=False, by_stage=added.by_stage)
@@ -177,7 +177,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
 
 
 def _with_numbers(theme: str) -> list[VisualizerLike]:
-    """Draw arrows with their magnitudes beside them, as labels of invisible points: an arrow colours its own labels."""
+    """Draw arrows, and their magnitudes as labels of invisible points, since an arrow colours its own labels."""
     sources = {"Points3D:positions": paths.NUMBERS_AT, "Points3D:labels": paths.NUMBERS}
     unseen = rr.Points3D.from_fields(radii=rr.Radius.ui_points(0.0), colors=palette.INKS[theme], show_labels=True)
     return [rr.Arrows3D.from_fields().visualizer(), unseen.visualizer(mappings=taken_from(sources))]
@@ -326,12 +326,12 @@ def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
 
 
 def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
-    """Return the area of the view of the bodies in a layout with a legend."""
+    """Return the area of the bodies' view in a layout with a legend."""
     return _areas(canvas, _shares(header, close), legend=True)[0] if only == ALL else canvas.area()
 
 
 def graph_area(header: Header, canvas: Canvas, close: bool) -> Area:
-    """Return the area of the view of the contacts in a layout of all views with a legend."""
+    """Return the area of the contacts' view in a layout of all views with a legend."""
     return _areas(canvas, _shares(header, close), legend=True)[1]
 
 

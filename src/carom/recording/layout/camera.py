@@ -49,7 +49,8 @@ _ESCAPING = 0.05  # largest fraction of the bodies that may be outside the view 
 _NEARBY = 1.6  # escaping bodies are also inside the view if this increases the distance by at most this factor
 _FAR = 20.0  # bodies farther from the middle than this, in median distances, may lie outside the picture
 _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the first moment fill
-# largest distance, relative to the smallest distance that shows the whole first moment; bodies then fill 53 %
+# largest distance, relative to the smallest distance that shows the whole first moment; bodies then fill 53 % of the
+# picture
 _LOOSE = 1.7
 # largest distance that shows paths, relative to the same distance: 23 shows an orbit with e = 0.7 that begins at the
 # pericentre, if the aspect ratio is 3.3
@@ -66,7 +67,7 @@ _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # us
 _PREFERENCE = 0.15  # weight of the usual direction, as a fraction of the variance, if principal axes are similar
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
 _INTO = np.radians(30.0)  # highest elevation if bodies fall into walls, since a cup looks flat from above
-_SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
+_SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle between a slope and a floor or a wall
 # angles of the eye from a slope's edge, so that torques are visible
 _ASIDE, _ABOVE = np.radians(35.0), np.radians(12.0)
 _ALONG = 0.1  # largest fraction of the motion along the line of sight, if a slope is seen edge-on
@@ -222,7 +223,7 @@ class CameraFit:
                 self._spheres = self._spheres[np.unique([_farthest(each, self._spheres[:, 3]) for each in centred])]
 
     def turned_about(self, view: View, angle: float) -> View:
-        """Return a view from another side: turned about the vertical through the middle of the bodies (rad)."""
+        """Return a view from another side, turned by an angle (rad) about the vertical through the bodies' middle."""
         aside = turned(view.target - self._centre, view.up, angle)
         return replace(view, to_eye=turned(view.to_eye, view.up, angle), target=self._centre + aside)
 

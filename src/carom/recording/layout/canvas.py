@@ -157,7 +157,7 @@ class Canvas:
     width: int = 1600
     height: int = 1000
     framed: bool = True  # whether views have title bars and windows have panels, which reduce the height
-    rendered: bool = False  # whether it is a picture: without panels, and with narrow lenses if necessary
+    rendered: bool = False  # whether this is a picture, without panels and possibly with narrow lenses
     theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
@@ -219,7 +219,7 @@ class Additions:
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
     moment: bool = False  # whether a picture shows one moment, so that other moments need not be inside it
     tips: FloatArray | None = None  # (k, 3) m, tips of the arrows that are drawn at the moment
-    touching: Sequence[int] = ()  # the few bodies of a crowd that a picture of the contacts shows; () for all
+    touching: Sequence[int] = ()  # the few bodies of a crowd that a picture of the contacts shows; () for all bodies
     marks: FloatArray | None = None  # (k, 3) m, points around the drawn points of impacts
     inset: tuple[float, float] = (0.0, 0.0)  # points, width and height of the legend inside a single view
     caption: Sequence[str] = ()  # title of a plot that fills the picture

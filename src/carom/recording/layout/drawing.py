@@ -69,7 +69,7 @@ def single(values: FloatArray) -> SingleArray:
         return values.astype(np.float32)
 
 
-_LEAST, _LARGEST = 1e-6, 6e4  # m, range of radii that Rerun draws exactly enough
+_LEAST, _LARGEST = 1e-6, 6e4  # m, range of radii that Rerun draws accurately enough
 _POINTS = 40.0  # points of the screen that stand for the radius of a body
 
 
@@ -85,7 +85,7 @@ _ROUND_OFF = 1e-6  # fraction of the natural unit: smaller vectors are rounding 
 
 
 def part_of_longest(magnitude: Any, unit: Any) -> Any:
-    """Return L / L_max of magnitudes in a unit (both numbers or arrays); 1 for an infinite magnitude."""
+    """Return L / L_max for magnitudes and their unit m_ref (numbers or arrays); 1 for an infinite magnitude."""
     s = np.cbrt(magnitude / unit)
     return 1.0 - 1.0 / (1.0 + s)
 

@@ -320,7 +320,7 @@ def value_difference(step: int, path: str, name: str, recorded: pa.Array, other:
 
 
 def other_bits(one: NDArray[np.generic], two: NDArray[np.generic]) -> BoolArray:
-    """Return a mask of the numbers whose bits differ in two arrays of one shape and type."""
+    """Return a mask of the numbers whose bits differ in two arrays of the same shape and type."""
     differs = one.view(np.uint8) != two.view(np.uint8)
     return np.asarray(differs.reshape(*one.shape, one.itemsize).any(axis=-1))
 

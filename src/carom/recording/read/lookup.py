@@ -152,7 +152,7 @@ def interval(recording: RecordedData, start: float | None, end: float | None) ->
 
 
 def _refuse_outside(recording: RecordedData, times: FloatArray, first: float, last: float, asked: str) -> None:
-    """Refuse an interval (s) outside the frames and the step before the first one."""
+    """Refuse an interval (s) outside the frames and the step before the first frame."""
     begins, ends = float(times[0]), float(times[-1])
     if last < begins and not recording.is_overlay:
         dt = _column(recording.steps("dt"), "dt")

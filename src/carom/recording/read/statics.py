@@ -168,7 +168,7 @@ class Statics:
     @property
     @named
     def shows_all(self) -> bool:
-        """Whether the recording shows all bodies of its run; a clip may show only selected ones."""
+        """Whether the recording shows all bodies of its run; a clip may show only selected bodies."""
         return len(self.shown) == int(self.info["bodies"])
 
     @property

@@ -31,7 +31,8 @@ _LARGE = 50_000_000  # bytes; memory is returned to the system if Arrow has ever
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # largest compression by LZ4
-_ROOMY = 1 << 26  # bytes to which a chunk of any file may unpack; batches have 4 MB, and a clip takes six times a chunk
+# bytes to which a chunk of any file may unpack; batches have 4 MB, and cutting a clip takes memory for six chunks
+_ROOMY = 1 << 26
 # bytes to which a larger chunk may unpack, relative to the size of its file: 1.3 GB in 200 MB for 10⁷ spinning bodies
 # at rest on a lattice
 _MOST_TIMES = 8

@@ -44,7 +44,7 @@ _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # columns of energies by name, each an object in JSON
 _IF_FOUND = ("contact_audit", "dissipation_error", "wrong_work")  # columns that only some runs measure or find
 BOOKS_BYTES = 1200  # bytes of the books of a checkpoint, as JSON
-_FULL = 7  # contacts per body in a dense packing, near contacts included
+_FULL = 7  # contacts per body in a dense packing, including near contacts
 _PRESENT = "present"
 _OF_BODIES = tuple(name for name, (first, *_) in saved_fields(Checkpoint).items() if first.per == BODY)
 

@@ -311,7 +311,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Convert times (s) to nanoseconds that are less than the end of their frame, ``ends`` (s); see `Index`."""
+        """Convert times (s) to nanoseconds before the end of their frame, at ``ends`` (s); see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 

@@ -40,7 +40,7 @@ LINES = {
 }
 PLOT_GROUNDS = {"light": 0xFFFFFFFF, "dark": 0x0D0D0DFF}  # grounds of plots in the viewer's two themes
 
-# Neighbouring stages must be distinct at a glance, so the order alternates warm and cold.
+# Neighbouring stages must be distinct at a glance, so the order alternates warm and cold colours.
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
 STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
 SERIAL_STAGE = 64  # contacts with more colours than this are solved serially, last, and drawn white
@@ -56,7 +56,7 @@ SAGE = 0xA1C4A8FF
 ROSE = 0xF6D2F0FF
 OLIVE = 0x9FA041FF
 MINT = 0x63F897FF
-# hues of bodies; on white, olive resembles the yellow of impulses
+# hues of bodies; olive comes last, since it resembles the yellow of impulses on white
 BODIES = (SKY, CLAY, INDIGO, MINT, SAGE, ROSE, OLIVE)
 
 NAMED = {  # names for colours of materials in scenes; colours of bodies come first
@@ -132,9 +132,9 @@ _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminances with a contrast of 3 to 1 on whit
 def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     """Return colours of the same hues that have a contrast of at least 3 to 1 on a background.
 
-    The theme "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for
-    white paper. By default, the colours suit both themes. Colours of curves must be visible on both backgrounds, since
-    plots have the background of the viewer's theme.
+    The theme "dark" leaves the colours unchanged, since the palette is for a dark background; "light" darkens bright
+    colours for white paper. By default, the colours suit both themes. Colours of curves must be visible on both
+    backgrounds, since plots have the background of the viewer's theme.
     """
     given = np.array([*colours], dtype=np.uint32)
     return given if theme == "dark" else _within(given, 0.0 if theme else _DARKEST, _BRIGHTEST)

@@ -269,7 +269,7 @@ class ContactEncoder:
         )
         self._recorded += len(impacts)
         if len(impacts):
-            # if the tap left some impacts out, the numbers apply to the stored impacts
+            # if the contact tap left some impacts out, the numbers apply to the stored impacts
             numbers = np.repeat(self._before, kept.impacts) + 1 + self._chosen
             yield impact_rows(impacts, numbers, self._references, header, self._origin)
 

@@ -199,7 +199,7 @@ class DurableSink:
 _STATM = Path("/proc/self/statm")
 
 # Bytes of address space for encoding, measured on heaps of spheres that touch 12 others, and rounded up; `plan.room`
-# counts bodies.
+# accounts for the bodies.
 _FRAME_PER_CONTACT = 400
 _CHECKPOINT_PER_CONTACT = 800
 _CLOSING = 16_000_000  # bytes for static data, layout, footer, and one reading of the file

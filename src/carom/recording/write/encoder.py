@@ -60,9 +60,9 @@ _BEYOND = 0.8  # distance of a label beyond the tip, in radii, since a viewer dr
 class BatchEncoder:
     """Converts batches of frames to rows, entity by entity.
 
-    The state of the encoder is all that the rows depend on: the origin, the last written phase and dt limit, the
-    references of the arrows, the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the
-    series encoded so far.
+    Besides the batch, the rows depend only on the state of the encoder: the origin, the last written phase and dt
+    limit, the references of the arrows, the last frame, and the numbers of recorded contacts. ``curves`` are the
+    outlines of the series encoded so far.
     """
 
     def __init__(

@@ -261,7 +261,7 @@ def pick_strongest(
     begin, found = 0, 0
     for f in range(len(each)):
         m, count = each[f], counts[f]
-        least, equal = -np.inf, 0  # the smallest selected impulse, and the number of selected ones equal to it
+        least, equal = -np.inf, 0  # the smallest selected impulse, and the number of selected impulses equal to it
         if 0 < count < m:
             for c in range(m):
                 scratch[c] = rows[begin + c].normal_impulse

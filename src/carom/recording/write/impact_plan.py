@@ -142,7 +142,7 @@ FILE_BYTES = 300_000  # bytes of layout, styles and footer (docs/recording.md, S
 SHARE = 0.22
 _ARROWS, _SCENES = 0.02, 0.04  # largest fractions of all other data: for arrows, and for frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes that frames at impacts may take in any recording
-_HARDER = 1.25  # an impact that exceeds the hardest with a frame by this factor gets one even beyond the budget
+_HARDER = 1.25  # an impact this many times as hard as any with a frame gets a frame even beyond the budget
 _SCENE = 850  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 36  # measured bytes of each in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
@@ -158,8 +158,8 @@ class BudgetRecord(Protocol):
 
     others: float  # bytes of everything except contacts and impacts
     contacts: float  # bytes of contacts and impacts
-    arrows: float  # bytes of arrows, a part of these bytes
-    scenes: float  # bytes of frames at impacts, a part of these bytes
+    arrows: float  # bytes of arrows, which are part of `contacts`
+    scenes: float  # bytes of frames at impacts, which are part of `contacts`
 
 
 _BUDGET = dtype_of(BudgetRecord)

@@ -156,7 +156,7 @@ class CheckpointPlan:
 
 
 _BATCH_FRAMES, _QUEUE_FRAMES = 2048, 512
-# largest batch; small frames are joined since a chunk costs 2.4 kB, like 40 scalars
+# largest batch; small frames are joined since a chunk costs 2.4 kB, as much as 40 scalars
 _SMALL_FRAMES, _SMALL_BYTES = 4096, 16_000_000
 _BATCH_SECONDS, _LIVE_SECONDS = 2.0, 1.0  # s of frames that a killed run may lose, and by which a live viewer lags
 _QUEUE_BYTES = 64_000_000
@@ -217,7 +217,7 @@ class FrameRecorder:
         self._camera_fit: CameraFit | None = None
         self._laid_out = False
         self._added = Additions(viewer_time=viewer_time(header.units, self._clock))
-        self._looked = 0  # value of `frames` when the camera last took a frame into account
+        self._looked = 0  # value of `frames` at the last update of the camera
         self._last: Frame | None = None
         self._last_checkpoint = -1
         self._error: RecordingError | None = None

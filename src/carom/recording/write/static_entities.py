@@ -33,7 +33,7 @@ _EDGE_POINTS = 2.5  # width of a contact's line, in screen points
 _TRANSLUCENT = 0x8A93A624  # colour of walls in front of bodies
 _POINT = 1e-9  # fraction of a wall's extent; corners that are closer together count as one, such as at a pole
 _BENT = 0.35  # 2 sin ½β, β = 20°: edges that bend less are not drawn; a surface of revolution bends by 4° at each edge
-_SECTORS, _SHADE = 16, 0x505050FF  # number of sectors and colour of shaded ones, on walls that rotate
+_SECTORS, _SHADE = 16, 0x505050FF  # number of sectors, and colour of shaded sectors, on walls that rotate
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # rings from pole to pole; enough for one sphere among thousands to look round
 
@@ -128,7 +128,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def _rims(mesh: Mesh) -> FloatArray:
-    """Return the lines at borders and edges of a surface, (k, 2, 3) m, which show that a translucent sheet is a cup."""
+    """Return the lines at borders and edges of a surface, (k, 2, 3) m, without which a translucent cup looks flat."""
     grain = _POINT * float(np.ptp(mesh.corners, axis=0).max())
     _, first, number = np.unique(np.round(mesh.corners / grain), axis=0, return_index=True, return_inverse=True)
     corners, triangles = mesh.corners[first], number.reshape(-1)[mesh.triangles]

@@ -52,7 +52,7 @@ class LiveView:
         return () if self._stream is None else (self._stream,)
 
     def flush(self) -> None:
-        """Wait until the viewer has received everything; stop sending to a closed viewer, lest the queue grow."""
+        """Wait until the viewer has received everything; stop sending to a closed viewer, whose queue would grow."""
         if self._stream is None:
             return
         try:

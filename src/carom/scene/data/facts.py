@@ -104,7 +104,7 @@ class FileColumn:
         return short if not self.unit or self.unit in short else f"{short} [{printable(self.unit)}]"
 
     def with_suffix(self, dimension: Dimension, brief: bool = True) -> FileColumn | None:
-        """Read the end of the name as a unit of a dimension: "x_km", "vx_kms", "inc_deg"; None if it is no unit.
+        """Read the end of the name as a unit of a dimension: "x_km", "vx_kms", "inc_deg"; None if it is not a unit.
 
         Two single letters, as in "m_t", are a unit only with ``brief``.
         """

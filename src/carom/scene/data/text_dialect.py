@@ -130,7 +130,7 @@ class TextLines(Iterator[str]):
 
 
 def _separator(sample: Sequence[str], usual: str) -> tuple[str, bool]:
-    """Return the separator that divides all lines alike into most numbers, and whether decimals follow a comma."""
+    """Return the separator that divides all lines alike, into the most numbers, and whether decimals follow a comma."""
     body, best = sample[1:] or sample, (0, usual, False)
     for separator in _SEPARATORS:
         rows = [_cells(line, separator, whole=True) for line in body]
