@@ -1,1 +1,1 @@
-"""Contact laws other than Coulomb's: modules built on `carom.extend`, each of which can be removed with its row."""
+"""Contact laws other than Coulomb's, built on `carom.extend`; each can be removed with its row in `carom.registry`."""

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from carom.extend import VELOCITY, ContactLaw, NonNegative, Section
 
-MOST = 6  # most points of a table; the record in kernels has a field for each
+MOST = 6  # largest number of points of a table; the record in kernels has a field for each
 
 
 class RestitutionTable(Section):

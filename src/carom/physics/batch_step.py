@@ -21,7 +21,7 @@ from carom.state.checkpoint import Checkpoint, IntegratorCheckpoint
 
 FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
 FORESEEN = 2.0  # largest ratio of the holder's next step to its last step
-MOST_STRIKES = 100  # most impacts at one time; bodies that meet again after these rest on each other
+MOST_STRIKES = 100  # largest number of impacts at one time; bodies that meet again after these rest on each other
 
 
 class BatchStepper:
@@ -63,7 +63,7 @@ class BatchStepper:
 
     @property
     def first_dt(self) -> float:
-        """The step (s) that the scene's limits allow in the present state; `FREE_DT` without a limit."""
+        """The step (s) that the scene's limits allow in the present state; `FREE_DT` if nothing limits it."""
         dt = self.timestep.first(self._world.bodies)
         return dt if math.isfinite(dt) else FREE_DT
 
@@ -160,7 +160,7 @@ class BatchStepper:
             self._held = True
             since = "while they do," if self._takes_back else "from now on"
             text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
-            # an event of the step that begins now, since the frame of the last step may already be recorded
+            # the event belongs to the step that begins now, since the frame of the last step may already be recorded
             self._books.log(Event(world.clock.step + 1, time, "INFO", text, "at-rest"))
             self._holder.take_over()
         return batch

@@ -34,7 +34,7 @@ class Bodies:
     acceleration: FloatArray  # (n, 3) m/s², acceleration by all forces but drag
     orientation: FloatArray  # (n, 4) unit quaternions, xyzw; this array and the next three are empty if not required
     angular_velocity: FloatArray  # (n, 3) rad/s
-    angular_acceleration: FloatArray  # (n, 3) rad/s², mean over the last step; empty without torques
+    angular_acceleration: FloatArray  # (n, 3) rad/s², mean over the last step; empty if no torques are modelled
     torque: FloatArray  # (n, 3) N m, Σ r × J / dt over all contacts and impacts of the last step
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m

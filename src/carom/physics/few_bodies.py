@@ -84,8 +84,8 @@ class FlightLaws(NamedTuple):
     """The forces and rules of the steps."""
 
     plan: RecordArray[PlanRecord]  # (1,)
-    substeps: FloatArray  # (s, 3) s, parts of the step: first kick, drift, last kick
-    uniform: FloatArray  # (f, 3) m/s², the uniform acceleration by each force that has one
+    substeps: FloatArray  # (s, 3) fractions of the step: first kick, drift, last kick
+    uniform: FloatArray  # (f, 3) m/s², uniform acceleration of each force that has one
     rule: RecordArray[RuleRecord]  # (1,)
     forces: Parameters  # parameters of forces from installed packages
     damping: DragLaw | tuple[()]  # parameters of the force that depends on velocities; empty if no force does
@@ -96,7 +96,7 @@ class FlightClock(NamedTuple):
 
     time: float  # s
     end: float  # s, end of the run
-    until: float  # s, time at which the last step ends
+    until: float  # s, time that the last step reaches or passes
     most: int  # largest number of steps
     average: float  # s, moving average of the step
     step: int  # number of the last step

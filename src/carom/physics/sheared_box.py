@@ -198,7 +198,7 @@ def _work_of_corrections(contacts: RecordArray[Any], impulses: RecordArray[Any])
 
 @inner
 def _image(d: float, depth: float) -> float:
-    """Return the number of the box that a coordinate along the gradient is in."""
+    """Return the number of the image in which a coordinate along the gradient lies."""
     return float(np.floor(d / depth + 0.5))
 
 
@@ -286,7 +286,7 @@ def velocity_of_image(dx: float, dy: float, dz: float, box: Any) -> Vector:
 
 @with_field("shift", _flow)
 def flow_in_drift(box: Any, x: float, y: float, z: float, dt: float) -> Vector:
-    """Return the displacement (m) by the flow at a place over a time (s)."""
+    """Return the displacement (m) that the flow at a place causes in a time (s)."""
     return 0.0, 0.0, 0.0
 
 

@@ -82,7 +82,7 @@ class Simulation:
         self.scene = scene
         self.names = start.name
         self.groups = start.group
-        self.mass = start.mass  # (n,) kg, including bodies that do not exist now
+        self.mass = start.mass  # (n,) kg, including bodies that wait to enter or have left
         self.entries = EntryStates(start.position, start.velocity, start.angular_velocity)
         self.threads = threads or cores()
         self.ends_with_forces = integrator(scene).ends_with_forces
@@ -319,7 +319,7 @@ class Simulation:
         )
 
     def without_impacts(self, torque: FloatArray, angular_acceleration: FloatArray) -> FloatArray:
-        """Subtract the effect of impacts from copies of the last step's arrays, (n, 3) N m and rad/s².
+        """Subtract impacts from copies of the last step's torques and angular accelerations, (n, 3) N m and rad/s².
 
         Return the angular impulses of impacts in the step, (n, 3) N m s, as an array that must not be modified.
         """

@@ -25,7 +25,8 @@ MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference eng
 FEWEST_STEPS = 1e6
 # largest strain of a packing in a step; a strain of 0.015 halves the stress at a packing fraction of 0.54
 STRAIN_PER_STEP = 1e-3
-STEPS_PER_OSCILLATION = 100  # fewest steps per oscillation of a wall: contacts are held against its mean velocity
+# smallest number of steps per oscillation of a wall: contacts are held against its mean velocity
+STEPS_PER_OSCILLATION = 100
 
 # number of bodies up to which "auto" steps grow with the number; with more bodies, they are a tenth of the time of a
 # fall through the smallest radius
@@ -34,11 +35,11 @@ STEP_GROWS_UP_TO = 100
 # bodies held by contacts always have the step for `STEP_GROWS_UP_TO` bodies (docs/physics.md, 3)
 STEP_PER_BODY = 1e-3
 
-# most bodies without contacts whose motion counts as smooth; with more, "auto" steps miss encounters, and fourth order
-# costs more than it gains
+# largest number of bodies without contacts whose motion counts as smooth; with more, "auto" steps miss encounters,
+# and fourth order costs more than it gains
 SMOOTH_UP_TO = 8
 
-# most bodies for which the step rule examines each pair; with more bodies, that costs as much as gravity
+# largest number of bodies for which the step rule examines each pair; with more bodies, that costs as much as gravity
 PAIRS_UP_TO = 100
 PAIR_FRACTION = 0.01  # step over the shortest time scale of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
 PULL_FRACTION = 0.02  # step over the time scale of the largest acceleration; a pair of equal bodies has half that scale
@@ -49,14 +50,17 @@ LATE_CFL = 0.5  # if impacts are resolved at the end of the step
 FREE_CFL = 1.0  # if times of impact are exact and no forces act, where shorter steps gain nothing
 
 
-# most bodies for gauss-radau15 if they orbit far apart without contacts; for 300 to 900 bodies, it takes 0.6 times as
-# long as leapfrog on circles, one to three times as long with encounters, at a thousandth of the error or less
+# largest number of bodies for gauss-radau15 if they orbit far apart without contacts; for 300 to 900 bodies, it takes
+# 0.6 times as long as leapfrog on circles, one to three times as long with encounters, at a thousandth of the error or
+# less
 ORBITS_UP_TO = 1000
 
-BOUNCES_UP_TO = 200  # most bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
+# largest number of bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
+BOUNCES_UP_TO = 200
 
 TREES = ("tree", "fast-multipole")  # methods that sum over boxes of bodies, with an error set by the opening angle
-TREE_FROM = 5000  # fewest bodies for which "auto" chooses a tree, which takes a third to a half as long as a direct sum
+# smallest number of bodies for which "auto" chooses a tree, which takes a third to a half as long as a direct sum
+TREE_FROM = 5000
 
 HELD_PART = 0.01  # largest motion of a held body in a step, in radii: 600 steps per revolution of a rolling pair
 WIDEST_HELD_PART = 0.1
@@ -329,7 +333,7 @@ class StepLimits:
     max_dt: float  # s; infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
-    # m, used in place of ``target_dx`` for bodies held by lasting contacts; None: ``target_dx``
+    # m, used in place of ``target_dx`` for bodies held by lasting contacts; None if ``target_dx`` applies
     held_dx: float | None = None
     held_part: float = HELD_PART  # largest motion of a held body in a step, divided by its radius
     pull_fraction: float | None = None

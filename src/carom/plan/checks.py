@@ -29,7 +29,7 @@ from carom.scene.wording import body_key, counted
 EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
 # largest relative difference from `EARTH`; the field is 0.2 % stronger at the poles, and 0.3 % weaker at the equator
 AS_ON_EARTH = 0.01
-NARROWEST = 4  # width of the narrowest box, in largest radii: two bodies side by side with the image of one
+NARROWEST = 4  # smallest width of a box, in largest radii, so that no body touches another body and its image at once
 LIGHTEST = 100.0  # kg/m³, density of the lightest solid; balls of cork have 200
 
 INTEGRATOR: KeyPath = ("time", "integrator")

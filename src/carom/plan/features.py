@@ -240,7 +240,7 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
 
 
 def _why_released(scene: Scene) -> str:
-    """State the number of bodies that enter, and the outlets."""
+    """Return a text with the number of bodies that enter, and the outlets."""
     entering = sum(group.count for group in scene.group if group.release is not None)
     said = [f"{counted(entering, 'body')} enter later"] if entering else []
     return "; ".join([*said, *(f"bodies leave by {name}" for name in scene.outlet_names)])

@@ -19,16 +19,19 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
 DOMINANT = 0.99  # smallest fraction of the total mass in a dominant body
-# fewest revolutions of the innermost body for which "auto" chooses wisdom-holman; for fewer, gauss-radau15 is cheap
+# smallest number of revolutions of the innermost body for which "auto" chooses wisdom-holman; for fewer,
+# gauss-radau15 is cheap
 FEWEST_ORBITS = 1000
-# most bodies for wisdom-holman; more bodies meet more often, and gauss-radau15 integrates all bodies in each encounter
+# largest number of bodies for wisdom-holman; more bodies meet more often, and gauss-radau15 integrates all of them in
+# each encounter
 MOST_BODIES = 100
-# least distance of two orbits in Hill radii, so that encounters are rare; Jupiter and Saturn are 8 apart
+# smallest distance of two orbits in Hill radii, so that encounters are rare; Jupiter and Saturn are 8 apart
 HILL_RADII_APART = 5.0
-# least distance of bodies far apart, in sums of their radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+# smallest distance of bodies far apart, in sums of their radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
 LEAST_DISTANCE = 8.0
 WIDER = 1.0 + 1e-9  # factor on a distance that exceeds any rounding
-# most bodies that count as far apart, unless one dominates: in a contracting system, more would soon meet often
+# largest number of bodies that count as far apart, unless one dominates: in a contracting system, more bodies would
+# soon meet often
 MOST_APART = 32
 
 

@@ -22,7 +22,7 @@ class Extreme:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()  # numbers of both ends of a contact, during the run; numbers from n on are planes
+    bodies: tuple[int, ...] = ()  # numbers of both ends of a contact, during the run; numbers ≥ n are planes
     planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 
@@ -44,7 +44,7 @@ class Extremes:
     kinetic: Extreme = NOTHING  # kinetic energy at the last check (not the largest), relative to the scale
     impact: Extreme | None = None  # J, largest ½ μ v_n² of any impact
     overlap: Extreme | None = None  # deepest overlap, relative to the smaller radius
-    contacts: Extreme | None = None  # most contacts in a step
+    contacts: Extreme | None = None  # largest number of contacts in a step
     momentum_error: Extreme | None = NOTHING  # None if the scene does not conserve momentum
     angular_momentum_error: Extreme | None = NOTHING  # None if the scene does not conserve angular momentum
     total_contacts: int = 0  # sum of the numbers of contacts over the steps
@@ -53,8 +53,8 @@ class Extremes:
     energy_scale: float = 0.0  # J, energy scale at the last check
     most_taken: float = 0.0  # J, largest restitution + friction in the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings so far
-    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
-    dissipation_error: Extreme | None = None  # wrong work by `diagnostics.dissipation`, relative to the scale
+    contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None if there is no audit
+    dissipation_error: Extreme | None = None  # wrong work found by `diagnostics.dissipation`, relative to the scale
 
     @property
     def energy_fault(self) -> Extreme | None:

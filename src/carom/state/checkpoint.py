@@ -70,8 +70,8 @@ class ContactCheckpoint:
     impulse: Annotated[FloatArray, Saved("held_impulse", "N s", HELD, 4), Saved("held_angular", "N m s", HELD, 3)]
     kick: Annotated[float, Saved("held_kick", "s")]  # length of the last kick
     sleep: SleepCheckpoint | None = None  # None if no body can sleep
-    # (k, 3) for each piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None without
-    # pistons
+    # (k, 3) for each piston: displacement in m, velocity in m/s, impulse of the bodies on it in N s; None if there are
+    # no pistons
     pistons: Annotated[FloatArray | None, Saved("pistons", "", PISTON, 3)] = None
     release: ReleaseCheckpoint | None = None  # None if no body enters or leaves
 
@@ -88,7 +88,7 @@ class ContactCheckpoint:
 
     @property
     def highest(self) -> int:
-        """The highest index of a body or plane in a contact, or -1 without contacts."""
+        """The highest index of a body or plane in a contact, or -1 if there are no contacts."""
         slept = self.held_pairs[:0] if self.sleep is None else self.sleep.pairs
         return max((int(pairs.max()) for pairs in (self.pairs, self.held_pairs, slept) if len(pairs)), default=-1)
 

@@ -87,10 +87,10 @@ class Frame:
     # (k,) `CONTACT_ROW` of the impacts since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
     impacts_left_out: int = 0  # number of impacts that ``impacts`` omits; they have the smallest impulses
-    impact_sums: FloatArray | None = None  # `ImpactSums.flat` over all impacts since the previous frame; None: unknown
+    impact_sums: FloatArray | None = None  # `ImpactSums.flat` over all impacts since the last frame; None if unknown
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW` of this step's contacts, by pair; None if not requested
     angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J over the impacts of this step
-    # expected error of positions, relative to the size of the system; 0 without a requested accuracy
+    # expected error of positions, relative to the size of the system; 0 if no accuracy is requested
     expected_error: float = 0.0
 
     @property

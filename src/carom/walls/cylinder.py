@@ -61,7 +61,7 @@ def axis(section: Cylinder) -> tuple[FloatArray, FloatArray]:
 
 
 def periodic(section: Cylinder, axis: int, period: float) -> Mapping[str, float] | None:
-    """Return no changes for a cylinder along the axis."""
+    """Return no changes for a cylinder along the periodic axis; None for any other cylinder."""
     return {} if abs(unit_vector(section.axis)[axis]) == 1.0 else None
 
 

@@ -196,7 +196,7 @@ class Bookkeeper:
         self.change: AbstractContextManager[None] = self.impulse_audit or nullcontext()
         self.pace: PaceMonitor | None = None  # None unless limits set the steps
         self._events: list[Event] = []
-        # s, time up to which the accuracy is promised; infinite without a promise, or once the end is logged
+        # s, time up to which the accuracy is promised; infinite if there is no promise, or once its end is logged
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
             self._measure_contacts(world.contact, Extremes())  # with no contacts yet, this only loads the kernels

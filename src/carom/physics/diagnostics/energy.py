@@ -24,7 +24,7 @@ from carom.state.energies import Energy, EnergyBaseline, Ledger, Origin
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
 CANCELLED = 1e-8  # largest sum of kinetic and gravitational energy, relative to their magnitudes, that counts as 0
 EPSILON = float(np.finfo(np.float64).eps)
-WALKS = 4.0  # standard deviations of a random walk of roundings; see `Energy.rounding`
+WALKS = 4.0  # standard deviations of the random walk of roundings that count as rounding; see `Energy.rounding`
 RESOLVED = 1e-10  # largest rounding, relative to the energy scale, that cannot be mistaken for an error
 
 

@@ -23,9 +23,9 @@ from carom.state.books import MonitorState
 from carom.state.energies import Energy
 from carom.state.frame import CollisionGraph
 
-MOST_CONTACTS = 6  # most contacts that a warning lists, in descending order of added energy
+MOST_CONTACTS = 6  # largest number of contacts in a warning, in descending order of added energy
 LOST = 0.1  # error relative to the energy scale, large enough to change the size and the period of an orbit
-MOST_WARNINGS = 100  # most warnings of rises in a run
+MOST_WARNINGS = 100  # largest number of warnings of rises in a run
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Suspects:
     graph: CollisionGraph
     contributions: Callable[[], FloatArray]  # returns each contact's energies, (m, 3) J
     velocity: FloatArray  # (n + p, 3) m/s, velocities
-    angular_velocity: FloatArray | None  # (n + p, 3) rad/s, spins; None without spins
+    angular_velocity: FloatArray | None  # (n + p, 3) rad/s, spins; None if nothing spins
 
     @classmethod
     def of(cls, step: int, contact: ContactPipeline, bodies: Bodies, spent: Suspects | None = None) -> Suspects:

@@ -115,7 +115,7 @@ class Momentum:
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s, angular momentum about the origin
     linear_error: float | None  # error relative to the largest Σ m |v| of all checks; None if anything is fixed
-    # error relative to the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
+    # error relative to the largest Σ (m |x| |v| + I |ω|); None if anything is fixed, and in a periodic box
     angular_error: float | None
 
 

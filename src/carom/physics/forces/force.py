@@ -90,7 +90,7 @@ class ForceLaws(NamedTuple):
     softening: float  # m
     uniform: FloatArray  # (f, 3) m/s², uniform acceleration of each force that has one, in the order of summation
     others: Parameters  # parameters of forces from installed packages, as for `add_forces`
-    damping: tuple[Any, ...]  # the `Damping.law` for `kick_before_drift`; empty without a damping force
+    damping: tuple[Any, ...]  # the `Damping.law` for `kick_before_drift`; empty if no force depends on velocities
 
 
 class Damping(OptionalPart):

@@ -1,4 +1,4 @@
-"""Forces of installed packages: `BodyForce` and `PairForce` of `carom.scene.forces`, in kernels.
+"""Forces of installed packages: `BodyForce` and `PairForce` of `carom.scene.installed_forces`, in kernels.
 
 Every kernel that sums accelerations calls `add_forces` with a tuple of records that hold the parameters, one for each
 force. The type of a record names the force and a hash of its sources. For each tuple of types, Numba compiles a kernel

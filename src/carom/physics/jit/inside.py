@@ -87,7 +87,7 @@ types: Any = numba.types  # documented, but without type hints
 
 # Symbols of compiled functions must differ wherever the functions differ. A process may load kernels that several other
 # processes compiled, and silently links a symbol to the first function with that name. Numba numbers record layouts and
-# functions in the order in which a process meets them. Two processes may therefore give the same name to functions over
+# functions in the order in which a process meets them. Two processes may therefore give the same name to functions for
 # two layouts, or to two functions made by one factory. Here a name contains a digest of the layout, and each process,
 # forked ones included, numbers functions from a random start.
 RANDOM_BYTES = 8  # bytes of the first number: 10⁵ processes of 10⁴ functions each overlap with a probability of 10⁻⁵

@@ -160,7 +160,7 @@ def _replace(words: Any, word: int, expected: int, value: int) -> bool:
 
 @instruction(_load, returns="int64", word="intp")
 def atomic_load(code: Code, words: Any, word: Any) -> Any:
-    """Return a word of an (n,) int64 array; all writes before it are then visible."""
+    """Return a word of an (n,) int64 array; all writes that preceded the write of this word are then visible."""
     return code.builder.load_atomic(code.element("words", word), "seq_cst", 8)
 
 

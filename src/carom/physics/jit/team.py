@@ -47,14 +47,14 @@ PATIENCE = 5000  # polls of the board, about 20 µs, before an idle helper yield
 # 1.38, not 1.53
 LOOKOUT = 50 * PATIENCE
 SHIFT = 32  # number of pieces, a few tenths of a millisecond, after which a busy helper yields its core
-SHARED = 0  # result of `_lead` when the job is done; any other result is the kind of arguments that needs code
-PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
+SHARED = 0  # result of `_lead` when the job is done; any other result is the kind of arguments that lacks code
+PIECES = 16  # largest number of pieces per thread: enough for all threads to finish at about the same time
 
 
 class Team:
     """A leader and its helpers; ``threads`` is the number of threads. Only one thread at a time may lead."""
 
-    least = 2  # fewest grains of work that are shared
+    least = 2  # smallest number of grains of work that are shared
 
     def __init__(self, threads: int) -> None:
         self.size = threads = 1 if PLAIN else threads
@@ -67,7 +67,7 @@ class Team:
 
     @contextmanager
     def leading(self) -> Iterator[IntArray]:
-        """Yield the board on which the caller leads phases with `lead_phase`; it is empty without helpers."""
+        """Yield the board on which the caller leads phases with `lead_phase`; it is empty if there are no helpers."""
         if self._pool is None:
             yield ALONE
             return
@@ -129,7 +129,7 @@ ALONE: IntArray = np.zeros(0, dtype=np.int64)  # the board of a leader without h
 SOLO = Team(1)
 
 
-# address of the C function that yields the core; 0 without such a function
+# address of the C function that yields the core; 0 if there is none
 OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 
@@ -163,7 +163,7 @@ def wait(board: IntArray, pieces: int) -> None:
 
 @long_kernel
 def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, arguments: tuple[Any, ...]) -> int:
-    """Process the pieces of [0, count) with a kernel; return `SHARED`, or the kind of arguments that needs code."""
+    """Process the pieces of [0, count) with a kernel; return `SHARED`, or the kind of arguments that lacks code."""
     needed: int = kind_of(arguments)
     if kind != needed:
         return needed

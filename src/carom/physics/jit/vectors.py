@@ -303,7 +303,7 @@ class RecordLanes:
             self._lines[line][place] = value
 
     def write(self, line: int, mask: Mask | None = None) -> None:
-        """Write a line that has been read back to the records that a mask selects, by default to all."""
+        """Write back a line that has been read, to the records that a mask selects, by default to all."""
         rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:

@@ -52,7 +52,7 @@ class Run(Protocol):
 
     @property
     def times(self) -> FloatArray:
-        """(K,) s."""
+        """The times of comparison, (K,) s."""
 
     def at(self, sample: int) -> FloatArray | None:
         """Return the positions at one of the times, (n, 3) m; None if the run failed earlier."""
@@ -63,7 +63,7 @@ class Scale:
     """The size of a system, and the distances of its states relative to it."""
 
     size: float  # m
-    box: FloatArray | None  # (3,) m, of a periodic domain
+    box: FloatArray | None  # (3,) m, size of a periodic domain; None in open space
 
     @classmethod
     def of(cls, scene: Scene, start: InitialBodies) -> Scale:
@@ -234,11 +234,11 @@ class Twins:
         return cls(apart, exponent)
 
     def steps_that_count(self, began: float, steps: int) -> FloatArray:
-        """Return the accumulated error at all times, (K,), in units of the error of a single step.
+        """Return the accumulated error at all times, (K,), in units of the error that the first step causes by then.
 
-        An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. For
-        regular motion, this is half the number of steps so far; for chaotic motion, it is half the number of steps in
-        the last 1 / λ.
+        An error made in a step grows like the distance G of twins, so the result is ∫ G(t - s) ds / G(t), divided by
+        the length of a step. For regular motion, this is half the number of steps so far; for chaotic motion, it is the
+        number of steps in the last 1 / λ.
         """
         before = with_start(self.apart[:-1], began)
         growth = np.log(self.apart / before)

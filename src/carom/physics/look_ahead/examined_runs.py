@@ -40,10 +40,11 @@ from carom.scene.units.dimension import TIME
 
 SAMPLES = 64  # number of times at which runs are compared
 LATER = 1024  # number of times beyond the trial runs; between two of them, an error grows little
-# fewest samples within the budget; if there are fewer, the time that was reached is divided more finely
+# smallest number of samples within the budget; if there are fewer, the time that was reached is divided more finely
 ENOUGH_SAMPLES = 8
 FEWEST_SAMPLES = 4  # known samples from which an error is extrapolated to later times
-# fewest steps between samples for the coarsest trial run, whose steps end at samples; half as many with smooth errors
+# smallest number of steps between samples for the coarsest trial run, whose steps end at samples; half as many with
+# smooth errors
 STEPS_PER_SAMPLE = 8
 # initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
 DISPLACEMENT = 1e-11
@@ -53,9 +54,8 @@ SPREAD = 2.5
 LARGEST_ERROR = 1.0  # largest error, relative to the size; larger errors are not distinguished
 ROUNDING = 8.0  # rounding ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
-FIRST_SHARE = (
-    1.0 / 13.0
-)  # fraction of the budget for the coarsest trial run; `TRIED` finer runs and a twin take 12 times this fraction
+# fraction of the budget for the coarsest trial run; `TRIED` finer runs and a twin take 12 times this fraction
+FIRST_SHARE = 1.0 / 13.0
 
 
 class ExaminedRuns:

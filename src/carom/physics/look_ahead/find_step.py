@@ -69,16 +69,16 @@ FEWER_SAMPLES = (4, 32)
 EXACT = 2.0**-8  # refinement of a trial run with only rounding errors; shorter steps cost more
 # refinement in place of `EXACT` for many bodies, which have more possible partners in longer steps
 EXACT_OF_MANY = 0.125
-EXACT_UP_TO = 200  # most bodies for `EXACT`; for more, `EXACT_OF_MANY` applies
-FEWEST_ORBITS = 30.0  # fewest revolutions of the innermost body; with fewer, gauss-radau15 costs little
+EXACT_UP_TO = 200  # largest number of bodies for `EXACT`; for more, `EXACT_OF_MANY` applies
+FEWEST_ORBITS = 30.0  # smallest number of revolutions of the innermost body; with fewer, gauss-radau15 is cheap
 FINEST_OF_ORBITS = 1e-7  # smallest accuracy for wisdom-holman; below it, gauss-radau15 is cheaper
-HILL_RADII = 3.0  # least number of Hill radii between orbits, so that encounters are rare
+HILL_RADII = 3.0  # smallest number of Hill radii between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # number of samples; each takes a corrector and its inverse
 # largest growth of an error beyond the trial runs for which steps are shortened; more growth ends the promise
 MOST_FORESEEN = 1e6
-# ratio of the expected to the extrapolated error; with 2, an event in a step exceeded the expected error 1.4 times
+# ratio of the expected to the extrapolated error; with 2, an event in a step caused 1.4 times the expected error
 MARGIN = 3.0
-MOST_IDLE = 5  # most successive trial runs whose shorter steps hardly change the distance; see `stays`
+MOST_IDLE = 5  # largest number of successive trial runs whose shorter steps hardly change the distance; see `stays`
 # Number of consecutive comparisons that must show that shorter steps would hardly extend a promise; a single one may do
 # so by chance. Comparisons are ignored while no promise is kept, since the steps may be too long to tell.
 MOST_ENOUGH = 2
@@ -98,10 +98,8 @@ CHEAPER: dict[Literal["leapfrog", "yoshida4"], float] = {"leapfrog": 0.5, "yoshi
 RADAU_STEPS = 0.25  # longest steps of gauss-radau15, relative to leapfrog's with refinement 1; 0.18 to 0.31 in clusters
 COARSE_ERRORS = 2.0  # the first comparison may overestimate the refinement that is needed by this factor
 
-TWIN_SHARE = (
-    # fraction of the budget for a run, and for its twin; the remainder is for a run with long steps, or for leapfrog
-    0.25
-)
+# fraction of the budget for a run, and for its twin; the remainder is for a run with long steps, or for leapfrog
+TWIN_SHARE = 0.25
 
 
 def with_promise(
@@ -164,9 +162,8 @@ class _LookAhead(ExaminedRuns):
     def _find_cheapest(self, usual: Integrator) -> Promise:
         """Return the promise of the cheapest integrator that keeps the accuracy to the end.
 
-        If none does, return the promise that lasts longest.
-
-        Gauss–Radau integration, if it is the ``usual`` integrator, is tried if no other integrator is cheaper.
+        If none does, return the promise that lasts longest. Gauss–Radau integration, if it is the ``usual`` integrator,
+        is tried if no cheaper integrator keeps the accuracy to the end.
         """
         best: Promise | None = None
         refused: SceneError | None = None

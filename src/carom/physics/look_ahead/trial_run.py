@@ -22,22 +22,22 @@ from carom.scene.load import Scene
 from carom.scene.schema import Expect, Promise
 from carom.scene.start import InitialBodies
 
-LEAST = 0.2  # nominal s, least budget if nothing can touch, so that an error beyond the trial runs can be extrapolated
-# Fewest leapfrog steps that the budget pays for, so that trial runs cover 8 samples of 4 steps; with more than about
-# 400 bodies, this is more than `LEAST`.
+LEAST = 0.2  # nominal s, smallest budget if nothing can touch, so that errors beyond the trial runs can be extrapolated
+# Smallest number of leapfrog steps that the budget pays for, so that trial runs cover 8 samples of 4 steps; with more
+# than about 400 bodies, this is more than `LEAST`.
 LEAST_STEPS = 800
-# Nominal s, least budget if bodies may touch, so that nothing is promised beyond the trial runs. 1 s covers `billiards`
-# at 10⁻⁴, whose steps with friction take Python 0.5 ms each.
+# Nominal s, smallest budget if bodies may touch, so that nothing is promised beyond the trial runs. 1 s covers
+# `billiards` at 10⁻⁴, whose steps with friction take Python 0.5 ms each.
 LEAST_OF_CONTACTS = 1.5
-MOST_OF_LEAST = 5.0  # nominal s, upper limit of the least budget for many bodies that cannot touch
+MOST_OF_LEAST = 5.0  # nominal s, upper limit of the smallest budget for many bodies that cannot touch
 PART_OF_RUN = 0.1  # budget as a fraction of the nominal time of the run itself, if this is larger
 MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take infinitely many steps
 # Nominal s, accurate to a factor of two: a call from Python, a step in a kernel, and the part of a body or contact in a
 # step.
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
 KERNEL_STEP, KERNEL_BODY = 3e-7, 1e-8
-TABLE_FORCES = 1.5e-5  # Python's part in a sum of forces for more bodies than `MAX_IN_ONE_BLOCK`
-CONTACT_BODY = 5e-7  # cost of the search and the next impacts of a body
+TABLE_FORCES = 1.5e-5  # time that Python takes in a sum of forces for more bodies than `MAX_IN_ONE_BLOCK`
+CONTACT_BODY = 5e-7  # cost of the search for the contacts and the next impacts of a body
 # costs of held contacts; the last value is the cost of each contact and iteration
 HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8
 IMPACT = 1.4e-6
@@ -50,7 +50,7 @@ ITERATIONS = 2.5  # iterations per step
 ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # cost of a step of Wisdom–Holman integration
 AT_ONCE = 0.05  # nominal s that a kernel takes between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
-NEVER = 2**62  # number of steps between two checks of the energy of a trial run
+NEVER = 2**62  # number of steps between two checks of the energy of a trial run, so that there is none
 
 
 @dataclass
@@ -58,8 +58,8 @@ class WorkBudget:
     """The allowed and the spent work of a look-ahead."""
 
     duration: float  # s, duration of the run
-    least: float = LEAST_OF_CONTACTS  # nominal s, least budget
-    part: float = 1.0  # fraction of the whole budget of a look-ahead
+    least: float = LEAST_OF_CONTACTS  # nominal s, smallest budget
+    part: float = 1.0  # this budget as a fraction of the whole budget of a look-ahead
     watch: Watcher | None = None  # called from time to time during trial runs
     own: float = 0.0  # nominal s, the work of the run itself, estimated from the latest trial run
     spent: float = 0.0  # nominal s

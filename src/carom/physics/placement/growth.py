@@ -41,9 +41,9 @@ from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.system import UnitSystem
 
-DENSEST = 0.62  # largest packing: equal spheres jam at 0.634 to 0.64, and growth takes very long just below
+DENSEST = 0.62  # largest packing fraction: equal spheres jam at 0.634 to 0.64, and growth takes very long just below
 BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # coefficients, see `densest`
-LOOSE = 0.2  # packing of the random start
+LOOSE = 0.2  # packing fraction of the random start
 INFLATED = 1e-6  # excess growth, in radii, so that rounding causes no overlap
 SKIN = 0.3  # distance, in radii, that a sphere may move until neighbours are searched again
 PASS = 0.1  # s, longest time until speeds are reset to 1 radius/s per axis
@@ -54,7 +54,7 @@ MOST_AT_ONCE = 30  # mean number of impacts per sphere in a pass
 
 
 def densest(radius: FloatArray) -> float:
-    """Return the largest packing to which spheres of these radii, (n,), can be compressed.
+    """Return the largest packing fraction to which spheres of these radii, (n,), can be compressed.
 
     In simulations, the random close packing of spheres of several sizes is
 
@@ -170,7 +170,7 @@ class GrowingSphereRecord(Protocol):
     start_x: float  # m, position at the beginning of the flight
     start_y: float
     start_z: float
-    now: float  # s, time of the position from the beginning of the flight
+    now: float  # s, time of the position since the beginning of the flight
     impacts: int  # impacts of the sphere so far in this flight
     impact_time: float  # s, time of the next impact; infinite if there is none
     partner: int  # other end of the next impact: sphere j, or the number of spheres + k for border k

@@ -281,7 +281,7 @@ def _refuse_full_box(scene: Scene) -> None:
 
 
 # checks of initial states: overlaps, and numbers out of range
-MOST_PAIRS = 3  # most pairs that a message names
+MOST_PAIRS = 3  # largest number of pairs that a message names
 WRITTEN = 5e-7  # half a unit in the last of seven digits: files and people write at least seven
 MOST_WRITTEN = 1e-3  # largest overlap, in radii, that may be due to the rounding of a file
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 ALL_PAIRS_UP_TO = 64  # number of bodies up to which importing SciPy takes longer than testing all pairs
-MOST_CANDIDATES = 5_000_000  # most candidate pairs; each takes about 100 bytes, with copies
+MOST_CANDIDATES = 5_000_000  # largest number of candidate pairs; each takes about 100 bytes, with copies
 CANDIDATES_PER_BODY = 30  # spheres of radii r to 2 r that fill 0.74 of space have at most 24 neighbours within 4 r
 # the tree compares rounded distances, so it is queried slightly farther, and the exact test follows
 QUERY_MARGIN = 1.0 + 1e-9

@@ -31,7 +31,7 @@ from carom.scene.units.system import UnitSystem
 
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 FINE_CELL = 0.34  # edge of a fine cell, in smallest radii
-MOST_CELLS = 100_000_000  # most cells of the fine grid, one byte each
+MOST_CELLS = 100_000_000  # largest number of cells of the fine grid, one byte each
 # with more cells, the region is nearly empty: few candidates collide, and a plain search is fast
 MOST_CELLS_PER_BODY = 4000
 MARGIN = 1.0 + 1e-9  # allowance for the rounding of the positions of cells
@@ -125,8 +125,8 @@ class Occupancy:
 
 
 CANDIDATES_PER_BODY = 1.2
-MOST_ROUNDS = 400  # rounds of generating and filtering for one size class
-MOST_DRAWN = 50_000_000  # most candidates for one size class
+MOST_ROUNDS = 400  # largest number of rounds of generating and filtering for one size class
+MOST_DRAWN = 50_000_000  # largest number of candidates for one size class
 
 
 def positions(

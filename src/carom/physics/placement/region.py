@@ -51,8 +51,8 @@ class Arrangement(NamedTuple):
     """An arrangement of groups, listed in `carom.registry` under its name in scenes."""
 
     arrange: Arrange
-    fullest: Callable[[FloatArray], float]  # largest packing of spheres with the given radii (n,); inf if unknown
-    limit: str = ""  # beginning of the message that states the largest packing
+    fullest: Callable[[FloatArray], float]  # largest packing fraction for given radii (n,); inf if unknown
+    limit: str = ""  # beginning of the message that states the largest packing fraction
 
 
 class PlummerModel(NamedTuple):

@@ -27,7 +27,7 @@ TOUCHING = 1e-6  # largest gap of touching walls over a wall's size: coordinates
 OPPOSED = 1e-12  # largest difference of the normals of parallel planes
 # shortest step as a fraction of the run, unless both walls are thin; steps are longer if the gap between them allows it
 LONGEST_STEP = 1.0 / 512.0
-MOST_STEPS = 4096  # most steps that are checked, for walls that oscillate close to each other
+MOST_STEPS = 4096  # largest number of steps that are checked, for walls that oscillate close to each other
 HALVINGS = 3  # halvings of the sides of drawn triangles
 ENOUGH_TRIANGLES = 256
 

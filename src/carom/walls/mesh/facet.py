@@ -1,6 +1,6 @@
 """A triangle of a mesh: its point nearest to a body, and whether a neighbour has a nearer point.
 
-A body touches the mesh where the distance has a local minimum: inside of a triangle, on an edge, or at a corner. Space
+A body touches the mesh where the distance has a local minimum: inside a triangle, on an edge, or at a corner. Space
 near a mesh is divided among triangles, edges and corners (Voronoi regions): a point belongs to a triangle if it lies
 above or below the triangle, to an edge if it lies beyond the edge for both triangles of the edge, and to a corner if it
 lies beyond the corner for all edges of the corner. An edge or a corner that several triangles share belongs to the

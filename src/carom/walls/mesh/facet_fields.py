@@ -13,7 +13,7 @@ CORNERS = tuple(f"corner_{k}{axis}" for k in range(3) for axis in "xyz")
 NORMAL = ("normal_x", "normal_y", "normal_z")
 # unit vector in the plane, from edge k into the triangle
 INWARD = tuple(f"inward_{k}{axis}" for k in range(3) for axis in "xyz")
-# the same vector of the neighbour at edge k; 0 without a neighbour
+# the same vector of the neighbour at edge k; 0 if there is no neighbour
 ACROSS = tuple(f"across_{k}{axis}" for k in range(3) for axis in "xyz")
 # kind of edge k, from corner k to the next corner: `FREE`, `OWN`, `OTHER`, `FLAT_OWN` or `FLAT_OTHER`
 EDGES = tuple(f"edge_{k}" for k in range(3))

@@ -14,8 +14,8 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import SceneError, install_extra
 
 FORMATS = (".stl", ".obj", ".ply")
-LARGEST_FILE = 200_000_000  # bytes of a file
-MOST_TRIANGLES = 200_000  # most triangles; their text still fits into a scene
+LARGEST_FILE = 200_000_000  # largest number of bytes of a file
+MOST_TRIANGLES = 200_000  # largest number of triangles; their text still fits into a scene
 THINNEST = 1e-7  # height of a triangle, divided by its longest side; coordinates in single precision resolve no less
 _COUNTS = np.dtype("<i8")
 _CORNERS, _TRIANGLES = np.dtype("<f8"), np.dtype("<i4")

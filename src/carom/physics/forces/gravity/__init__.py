@@ -1,7 +1,7 @@
 """Gravity between bodies, by a method of `carom.registry`: direct sum, tree, or fast multipoles.
 
 A method is a module with a function ``make(gravity, mass, team)``, whose arguments are the scene's gravity section, the
-masses, (n,) kg, and the threads.
+masses, (n,) kg, and the team of threads.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> MutualGravity:
 
 
 def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> GravityMethod | None:
-    """Return the gravity between bodies of mass (n,) kg by the method of a scene; None without gravity."""
+    """Return the gravity between bodies of mass (n,) kg by the method of a scene; None if there is no gravity."""
     method = gravity_method(scene)
     if method == "none":
         return None

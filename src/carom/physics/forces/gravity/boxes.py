@@ -5,8 +5,8 @@ again, until boxes have at most `LEAF` bodies. For bodies in a cube this is Mort
 radix sort that starts with the most significant bit. The boxes adapt to the bodies, so the sort works even if one body
 is far away, or thousands lie close to one point. Bodies at one point form one leaf, of any size.
 
-The boxes are in preorder: a box, then all boxes in it. A walk continues with the next box to open a box, and with
-``skip[box]`` to pass over it.
+The boxes are in preorder: a box, then all boxes in it. To open a box, a walk continues with the next box; to pass over
+it, the walk continues with ``skip[box]``.
 
 Rejected, at 10⁵ bodies: octrees (boxes halved along every side longer than 0.5 or 0.7 of the longest side), because
 they split a box that is a little too large into eight, and take a tenth to a third more time for the same error; keys
@@ -26,7 +26,7 @@ from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
-# most bodies that a thread sorts alone; it queues half of a larger range for other threads
+# largest number of bodies that a thread sorts alone; it queues half of a larger range for other threads
 GRAIN = 2048
 MIN_BODIES_PER_TASK = 20_000  # bodies per copying task
 

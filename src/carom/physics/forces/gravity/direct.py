@@ -34,7 +34,7 @@ X, Y, Z, MASS = range(4)  # rows of the sources
 AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
-MAX_IN_ONE_BLOCK = LANES  # most bodies in a single block
+MAX_IN_ONE_BLOCK = LANES  # largest number of bodies in a single block
 # with fewer bodies, waking threads costs as much time as it saves, and the recorder needs the other core
 PARALLEL_FROM = 2048
 SLABS = 16  # number of slabs of equal work, each with its own sums; more threads than slabs cannot be used

@@ -1,7 +1,7 @@
 """Gravity by a tree: distant boxes of bodies attract as a whole.
 
 `boxes` sorts the bodies into boxes. The moments of a box about its centre of mass are summed over its bodies, not over
-its halves. These sums take a twelfth of the time, and make b exact:
+its halves. These sums take a twelfth of the whole time, and make b exact:
 
     M = Σ m_i      X = Σ m_i x_i / M      Q = 3 Σ m_i y_i y_iᵀ      b = max |y_i|      y_i = x_i - X
 

@@ -72,7 +72,7 @@ from carom.state.checkpoint import IntegratorCheckpoint
 STEP_FRACTION = 0.17506702932189996  # η
 # the step after an impact is repeated if it is too long by more than this factor, since velocities have changed
 LARGEST_CHANGE_AFTER_IMPACT = 1.5
-# most corrections to the length of a step that ends at an impact; two are enough to reach rounding
+# largest number of corrections to the length of a step that ends at an impact; two are enough to reach rounding
 MOST_CORRECTIONS = 4
 IMPACT_ROUNDING = 2.0**-51  # relative rounding of the length of a step that ends at an impact
 LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that shorten a step

@@ -37,7 +37,7 @@ LANES_FROM = 16  # smallest number of bodies for which SIMD lanes are used
 PASSING = 1.0 / 16.0
 LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step that is too long by a larger factor is repeated
 SHRINKING = 2.0  # a step is repeated again only if the ratio of wanted to tried step has risen by this factor
-MAX_ITERATIONS = 12  # most iterations of a step; rounding keeps some steps from converging
+MAX_ITERATIONS = 12  # largest number of iterations of a step; rounding keeps some steps from converging
 CONVERGED = 1e-16  # tolerated residual at a node, relative to the largest acceleration: half a last bit
 # Refinements, and the residual that is tolerated below each. On orbits of eccentricity 0.05 to 0.9, these residuals add
 # less to the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
@@ -179,7 +179,7 @@ def attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float,
         dt = wanted
         wanted = _attempt_once(motion, twin, run, dt)
         if not wanted > SHRINKING * fraction * dt:
-            break  # an acceleration that starts at 0 changes within any step, however short
+            break  # relative to itself, an acceleration that starts at 0 changes much in any step, however short
     return dt, wanted
 
 

@@ -41,8 +41,9 @@ from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 FIRST_FRACTION = 1e-3  # first trial step, as a fraction of the duration
-MOST_AT_ONCE, PAIRS_AT_ONCE = 500, 200_000  # most steps in a call, and most pairs: 1 ms for two bodies, 5 ms for 100
-CONVERGES = MAX_ITERATIONS  # number of iterations that stands for a twin that iterates until it converges
+# largest numbers of steps, and of pairs times steps, in a call: 1 ms for two bodies, 5 ms for 100
+MOST_AT_ONCE, PAIRS_AT_ONCE = 500, 200_000
+CONVERGES = MAX_ITERATIONS  # value of ``iterations`` for a twin that iterates until it converges
 
 GoesOn = Callable[[int, float], bool]
 
@@ -57,7 +58,7 @@ class TwinSamples(NamedTuple):
 
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, output positions
-    apart: FloatArray  # (K,) m, output rms distance between the twins
+    apart: FloatArray  # (K,) m, output rms distance between orbits and twins
 
 
 class TwinRule(NamedTuple):
@@ -69,7 +70,7 @@ class TwinRule(NamedTuple):
 
 
 class FollowedOrbits(NamedTuple):
-    """The orbits of bodies without contacts, up to the time where the comparison ended."""
+    """The orbits of bodies without contacts, up to the time at which the comparison ended."""
 
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, positions; infinite where not known

@@ -34,10 +34,10 @@ C2_0, C2_1, C2_2, C2_3, C2_4, C2_5, C2_6 = C2
 C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
 CONVERGED = 1e-5  # relative step of X after which the error of fourth order is below rounding
 PATIENCE = 8  # number of steps after which every second step is a bisection, since steps down an exponential are short
-MAX_STEPS = 150  # most steps; half of them are bisections, of which about 60 suffice
+MAX_STEPS = 150  # largest number of steps; half of them are bisections, of which about 60 suffice
 NEARLY = 1e-8  # relative step of X after which a last step of second order is enough; compare `CONVERGED`
 LANES = 64  # bodies in SIMD lanes
-WIDEST = 8  # most numbers in a SIMD vector on any processor
+WIDEST = 8  # largest number of floats in a SIMD vector on any processor
 # First columns of the arrays in the workspace: positions in m, velocities in m/s, μ, positions and velocities at the
 # end, and whether two steps for the anomaly were enough. All columns share one array, so that the compiler knows that
 # they do not overlap.

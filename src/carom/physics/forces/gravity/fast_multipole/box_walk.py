@@ -52,7 +52,7 @@ from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.vectors import WIDTH as LANES
 
 FEW_PAIRS = 128  # number of pairs of bodies that take as long as a pair of boxes
-MANY_PAIRS = 1024  # most pairs of bodies that are summed one by one; 512 and 2048 are as fast at equal error
+MANY_PAIRS = 1024  # largest number of pairs of bodies summed one by one; 512 and 2048 are as fast at equal error
 
 
 class BoxRecord(Protocol):

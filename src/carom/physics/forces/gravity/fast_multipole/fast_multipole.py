@@ -54,7 +54,7 @@ from carom.scene.schema import Gravity
 
 # largest number of bodies in a branch, the work of one thread; the walks down to the branches repeat 2 % of the work
 BRANCH = 2048
-DEEPEST = 6400  # most nested boxes: each side can be halved 2100 times from the largest float to the smallest
+DEEPEST = 6400  # largest depth of boxes: each side can be halved 2100 times from the largest float to the smallest
 UNIT_BITS = 300  # largest |k| of the unit 2^k of lengths, so that no power of a length overflows
 
 
