@@ -208,7 +208,7 @@ class ShownPair:
         return LabelledArrows(IMPULSE, self.position[drawn], vectors, labels, short=[force])
 
     def _spin_speeds(self) -> FloatArray:
-        """Return the spins (2, b) rad/s before and after the impact of an instant, otherwise twice the same."""
+        """Return the spins (2, b) rad/s before and after the impact of an instant; both are equal without an impact."""
         after = np.zeros((len(self.called), 3)) if self.spin is None else self.spin
         before = after if self.spin_before is None else self.spin_before
         speeds: FloatArray = np.linalg.norm([before, after], axis=2)

@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.recording.layout.canvas import Area, View
 
-# Latin, Greek, Cyrillic, punctuation, currencies, fractions, arrows and some signs of mathematics
+# Latin, Greek, Cyrillic, punctuation, currencies, fractions, arrows and some mathematical signs
 _DRAWN = re.compile(
     r"[\s\x20-\x7e\xa0-\u0148\u014a-\u01c3\u01c5-\u031e\u038e-\u03a1\u03a3-\u03e1\u03f0-\u049d\u04a0-\u04ff"
     r"\u2010-\u2027\u2030-\u205e\u2070-\u2071\u2074-\u208e\u20a0-\u20bf\u2153\u215a-\u2188\u2190-\u2199"

@@ -42,7 +42,7 @@ class Request:
     plot: str | None = None  # quantities of bodies to plot, such as ``top.z,top.omega``
     colour_by: str | None = None  # property that sets the colours; by default as the scene states
     edges: str = "impulse"  # quantity that the edges beside the bodies show: "impulse", or the "stage" of the solver
-    # arrows of the causes of rotation: "one" with both numbers, or "both", of torque and angular acceleration
+    # causes of rotation: "one" arrow for a torque and its angular acceleration, with both numbers, or "both" arrows
     arrows: str = "one"
 
     def __post_init__(self) -> None:

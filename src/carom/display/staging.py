@@ -179,7 +179,7 @@ def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]
 
 
 def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curves, list[Rows], list[Static]]:
-    """Return the logarithms of the energies with their outlines and styles; nothing unless they grow by decades."""
+    """Return the logarithms of the energies with their outlines and styles, if the energies grow by decades."""
     series = shown_series(header, PLOTS[0][0], curves)
     if not grows_by_decades(curves[each.path] for each in series):
         return {}, [], []

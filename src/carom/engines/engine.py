@@ -255,7 +255,7 @@ class Watched:
     extremes: Extremes
     faults: list[Fault]  # first fault of each law, in order of time
     counts: dict[str, int]  # number of frames that violate each law
-    broken: list[tuple[float, str]]  # time (s) and violated law of every frame that violates one
+    broken: list[tuple[float, str]]  # time (s) and violated law of every frame that violates a law
 
 
 def watch(

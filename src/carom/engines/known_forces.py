@@ -21,7 +21,7 @@ BESIDE = 0.05  # largest part of a velocity change that may be across the veloci
 
 @dataclass(slots=True)
 class CommonDamping:
-    """The rate at which all free bodies lose speed or spin, ``rate + by_speed |v|``, if they share one.
+    """The rate at which free bodies lose speed or spin, ``rate + by_speed |v|``, if it is the same for all.
 
     PyBullet's own damping has both terms, with the same coefficient.
     """

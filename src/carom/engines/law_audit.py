@@ -165,7 +165,7 @@ class LawAudit:
             yield from ((f"laws.{law}.{name}", value) for name, value in found.items())
 
     def go_on(self, earlier: LawAudit) -> None:
-        """Continue the counts of an earlier audit, which judged other bodies."""
+        """Continue the counts of an earlier audit of other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
         self.worst = earlier.worst
         self._typical, self._allowed = earlier._typical, earlier._allowed

@@ -111,7 +111,7 @@ class Rebounds:
         """
         groups: dict[int, list[IsolatedImpact]] = {}
         for impact in self.impacts:
-            groups.setdefault(max(impact.ends[1] - len(self._setup), -1), []).append(impact)  # each plane, or bodies
+            groups.setdefault(max(impact.ends[1] - len(self._setup), -1), []).append(impact)  # plane, or -1 for bodies
         compared: list[tuple[IsolatedImpact, list[float]]] = []  # impacts with the usual coefficients
         for group in groups.values():
             group.sort(key=lambda impact: impact.speed)

@@ -24,7 +24,7 @@ from carom.scene.scene_model import know_installed_parts
 from carom.scene.units.dimension import Dimension
 from carom.scene.wall_shapes import shape_called
 
-FILE = "scene.schema.json"  # file beside the bundled scenes; the first lines of these refer to it
+FILE = "scene.schema.json"  # file beside the bundled scenes, whose first lines refer to this file
 MARK = "#:schema"  # prefix of the first line of a scene that names its schema
 
 

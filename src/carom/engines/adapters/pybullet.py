@@ -306,7 +306,7 @@ class PyBullet(SteppedEngine):
         x, y, z = (float(g) for g in np.asarray(problem.field))
         source = PyBulletSource(dt, (x, y, z), client)
         source.model = problem.named(source.model)
-        weakref.finalize(source, engine.disconnect, client)  # otherwise later calls without a client would use this one
+        weakref.finalize(source, engine.disconnect, client)  # else later calls without a client would use this client
 
         def step() -> None:
             engine.stepSimulation(client)

@@ -52,8 +52,8 @@ _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the f
 # largest distance, relative to the smallest distance that shows the whole first moment; bodies then fill 53 % of the
 # picture
 _LOOSE = 1.7
-# largest distance that shows paths, relative to the same distance: 23 shows an orbit with e = 0.7 that begins at the
-# pericentre, if the aspect ratio is 3.3
+# largest distance that shows paths, relative to the smallest distance as above: 23 shows an orbit with e = 0.7 that
+# begins at the pericentre, if the aspect ratio is 3.3
 _LOOSE_PATHS = 25.0
 _SMALL = 400.0  # all motion of few bodies is shown if the picture is at most this high, in median radii
 _MOST = 20_000  # number of bodies above which only every k-th body and the `_LARGEST` largest are measured
@@ -361,7 +361,7 @@ class CameraFit:
 
 @_HUGE
 def _direction(moments: FloatArray, up: FloatArray, highest: float) -> FloatArray:
-    """Choose the direction to the eye: along the smallest principal axis, or the usual one if several are similar."""
+    """Choose the direction to the eye: along the smallest principal axis, or as usual if several are similar."""
     usual = _USUAL @ upright(up)
     count = moments[3, 3]
     mean = moments[:3, 3] / max(count, 1.0)

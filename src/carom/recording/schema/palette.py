@@ -48,8 +48,8 @@ STAGE_COLOURS = np.array([*itertools.islice(itertools.cycle(STAGES), SERIAL_STAG
 
 # Hues of bodies; no quantity has these hues, so a body is never taken for a torque, an impulse or an edge. A search
 # over a grid of CIELAB maximised the smallest difference between two of them (ΔE ≥ 39, CIE76; ≥ 22 with colour
-# blindness) among colours that differ from `ARROWS` and from edges by at least 33 (11), and have a contrast of 4.2 to 1
-# on dark.
+# blindness) among colours that differ from `ARROWS` and from edges by at least 33 (11 with colour blindness), and have
+# a contrast of 4.2 to 1 on a dark background.
 CLAY = 0xA96D59FF
 INDIGO = 0x756CE5FF
 SAGE = 0xA1C4A8FF
@@ -123,7 +123,7 @@ MOST_SINGLE = 70  # largest number of single bodies that get hues in turn; with 
 _GOLDEN = 0.6180339887498949  # fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.3  # fraction by which the darkest body of a group is darker than the group's hue
 FADED = {"dark": 0x3C4250FF, "light": 0xC4C8D0FF}  # wires of bodies that are not the subject of a view
-FAINTEST = {"dark": 0x232833FF, "light": 0xE2E4E9FF}  # the same in crowds
+FAINTEST = {"dark": 0x232833FF, "light": 0xE2E4E9FF}  # such wires in crowds
 # luminances with a contrast of 4.5 to 1 on labels, whose grounds are #efefef and #1b1d20 in pictures
 _BRIGHTEST_TEXT, _DARKEST_TEXT = 0.15, 0.24
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminances with a contrast of 3 to 1 on white, and on a dark plot

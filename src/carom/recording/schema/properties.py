@@ -87,7 +87,7 @@ def _notes(header: Header) -> dict[str, str]:
 
 
 def _normals(header: Header) -> dict[str, FloatArray]:
-    """Return the planes of another engine, since the drawing has them in single precision only."""
+    """Return the normals of another engine's planes in double precision; drawings have only single precision."""
     planes = header.planes if header.engine else None
     return {f"plane_normal.{k}": normal for k, normal in enumerate(() if planes is None else planes.normal)}
 

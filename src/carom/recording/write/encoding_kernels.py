@@ -87,7 +87,7 @@ def list_torques(torques: TorqueList) -> int:
         before = found
         for i in range(torque.shape[1]):
             x, y, z = abs(torque[f, i, 0]), abs(torque[f, i, 1]), abs(torque[f, i, 2])
-            largest = max(x, y, z)  # unit of the components, so that no square overflows
+            largest = max(x, y, z)  # components are divided by it, so that no square overflows
             if largest > 0.0 and np.isfinite(x + y + z):
                 x, y, z = x / largest, y / largest, z / largest
                 body[found] = i

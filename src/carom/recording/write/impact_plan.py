@@ -23,9 +23,9 @@ from carom.scene.schema.shear import Shear
 from carom.state.checkpoint import Checkpoint
 from carom.state.frame import Frame
 
-# Positions of the bodies at impacts between two frames. A body with impacts between the frames is at the contact point
-# of each impact, and moves on straight lines in between. Other bodies follow the cubic through their positions and
-# velocities in both frames. Orientations are interpolated.
+# Positions of the bodies at impacts between two frames. A body with impacts between the frames touches the contact
+# point of each impact, and moves on straight lines in between. Other bodies follow the cubic through their positions
+# and velocities in both frames. Orientations are interpolated.
 
 
 def positions_at(

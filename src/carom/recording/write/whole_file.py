@@ -173,7 +173,7 @@ def name_until_whole(path: Path) -> Path:
 
 
 def killed_run_of(path: Path) -> Path | None:
-    """Return the file of a run that was killed before it replaced a recording; None if none was, or while it runs."""
+    """Return the file of a run that was killed before it replaced a recording; None without a file or while it runs."""
     with contextlib.suppress(OSError, RuntimeError):  # RuntimeError: links in a circle
         real = path.resolve()
         lock, left = real.with_name(f".{real.name}.lock"), name_until_whole(real)
@@ -189,7 +189,7 @@ def killed_run_of(path: Path) -> Path | None:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new path with the same suffix; on success its file gets the name ``path``, on failure it is removed.
 
-    In a folder that other users can write to, no link of theirs is followed. Nobody can predict the new name. If others
+    In a folder that other users can write to, their links are not followed. Nobody can predict the new name. If others
     could replace the file, it is written in the private folder instead.
     """
     with new_name(path, path.suffix) as part, contextlib.ExitStack() as stack:
