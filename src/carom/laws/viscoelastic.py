@@ -1,8 +1,8 @@
 """Restitution of viscoelastic spheres: faster impacts dissipate more.
 
 In a Hertzian contact between two given viscoelastic spheres, the coefficient of restitution depends only on the closing
-speed v (Schwager & Pöschel 2008). Its Padé approximant (Müller & Pöschel, Phys. Rev. E 84, 021302, 2011) is within 0.01
-of the solution of the equation of motion at any speed:
+speed v (Schwager & Pöschel 2008). Its Padé approximant (Müller & Pöschel, Phys. Rev. E 84, 021302, 2011) agrees with
+the solution of the equation of motion within 0.01 at any speed:
 
     e(v) = (1 + c₁ x) / (1 + b₁ x + b₂ x² + b₃ x³ + b₄ x⁴),    x ∝ v^{1/10} (√r/m)^{1/5}
 

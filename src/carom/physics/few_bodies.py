@@ -3,8 +3,8 @@
 A step of three bodies takes 80 ns in a kernel. If Python calls a kernel for each part of the step, it takes 10 µs, and
 nearly 200 µs with contacts. `KickDriftStepper` therefore leaves the steps up to the next frame or check to this kernel.
 While nothing touches, its contact stages are the functions of `open_gaps`; while the same contacts last, they are the
-functions of `contact.events.steady_contacts`. The kernels that choose dt, rotate, kick, drift and resolve are those of
-single steps, in the same order, so the bits are the same as in single steps.
+functions of `contact.events.steady_contacts`. Single steps use the same kernels to choose dt, rotate, kick, drift and
+resolve, in the same order, so the bits are the same.
 
 A step that Python must process is undone and left to `KickDriftStepper`: a step in which something may begin to touch
 or contacts change, or a step that is too short to change the clock.

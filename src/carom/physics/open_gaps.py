@@ -29,7 +29,7 @@ NEAR = 2.0 * TOUCHING  # gap relative to the sum of radii; twice the largest gap
 # rounding relative to the coordinates: 64 units in the last place; the search for contacts allows for four
 ROUNDING = 2.0**-46
 GRAIN = 2.0**-50  # relative to the coordinates: more than the rounding of a drift
-BOX_FRACTION = 0.25  # fraction of the smallest side of the box; bodies may move this far before they are tested again
+BOX_FRACTION = 0.25  # bodies are tested again after they may have moved by this fraction of the box's smallest side
 FAR = 1e150  # m, smallest gap if there are no pairs
 
 

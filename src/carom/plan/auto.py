@@ -25,7 +25,7 @@ MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference eng
 FEWEST_STEPS = 1e6
 # largest strain of a packing in a step; a strain of 0.015 halves the stress at a packing fraction of 0.54
 STRAIN_PER_STEP = 1e-3
-# smallest number of steps per oscillation of a wall: contacts are held against its mean velocity
+# smallest number of steps per oscillation of a wall: contacts are held against the wall's mean velocity in a step
 STEPS_PER_OSCILLATION = 100
 
 # number of bodies up to which "auto" steps grow with the number; with more bodies, they are a tenth of the time of a
@@ -190,7 +190,7 @@ def _accurate(scene: Scene) -> str:
 
 
 def _bounces_on_curves(scene: Scene) -> bool:
-    """Return whether a few colliding bodies move on curves, so that a high order between impacts is worthwhile."""
+    """Return whether a few colliding bodies move on curved paths, so that a high order between impacts pays."""
     bent = interactions.load(scene) != "" and not interactions.damping(scene)
     open_space = not scene.domain.is_periodic and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
@@ -278,7 +278,7 @@ def cfl(scene: Scene) -> float | None:
 def pull_fraction(scene: Scene) -> float | None:
     """Return the step as a fraction of the shortest time scale of the forces; None for no limit.
 
-    By default, this limit replaces the limits by radius in scenes without contacts, unless the scene sets
+    By default, this limit replaces the limits that depend on radii in scenes without contacts, unless the scene sets
     ``target_dx``.
     """
     if not interactions.gravity(scene).modelled:

@@ -15,7 +15,7 @@ from carom.scene.load import Scene
 BYTES_PER_BODY = 700  # bytes for state, workspace and initial state; measured at 10⁵ bodies and rounded up
 # bytes for waiting and encoded frames; measured in runs of 2 × 10⁵ bodies that record every step
 RECORDED_BYTES_PER_BODY = 2000
-TRIALS = 1.4  # memory of an estimate over that of a run, since it holds several runs at once; measured on one scene
+TRIALS = 1.4  # memory of an estimate over a run's memory, since it holds several runs at once; measured on one scene
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step; with 2400, a run of 4 × 10⁵ bodies aborts
 # "direct" has 16 slabs of sums, "tree" has boxes

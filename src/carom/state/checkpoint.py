@@ -1,6 +1,6 @@
 """The complete state of a run at one moment, from which it continues with the same bits, and its fingerprint.
 
-The 64-bit fingerprint of a state is XXH64 of the bytes of its arrays, in their order.
+The 64-bit fingerprint of a state is the XXH64 hash of its arrays' bytes, in their order.
 """
 
 from __future__ import annotations

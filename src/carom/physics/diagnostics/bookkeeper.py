@@ -160,7 +160,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        Warnings list contacts that may have changed the energy: those that `suspect` copied, and those of ``contact``.
+        Warnings list contacts that may have changed the energy: the copies by `suspect`, and those in ``contact``.
         """
 
         def suspects() -> list[Suspects]:
@@ -313,8 +313,8 @@ class Bookkeeper:
     def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum.
 
-        If ``judged``, errors enter the verdict on the run and cause warnings, which list the contacts that
-        `suspect_contacts` copied and those of ``contact``. A computation for a frame alone does not change the books.
+        If ``judged``, errors enter the verdict on the run and cause warnings, which list the contacts copied by
+        `suspect_contacts` and the contacts in ``contact``. A computation for a frame alone does not change the books.
         """
         world, clock = self._world, self._world.clock
         try:

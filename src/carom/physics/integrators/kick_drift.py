@@ -43,7 +43,7 @@ class DampedPath(NamedTuple):
 
     kick: float  # s
     damping: float  # 1/s
-    strength: float  # factor of the accelerations
+    strength: float  # factor for the accelerations
 
 
 class DampedStep(NamedTuple):
@@ -51,8 +51,8 @@ class DampedStep(NamedTuple):
 
     length: float  # s
     first_kick: float  # s
-    before: float  # factor on the velocities before the drift, which turns them into mean velocities of the drift
-    after: float  # factor on the velocities after the drift
+    before: float  # factor for the velocities before the drift, which turns them into mean velocities of the drift
+    after: float  # factor for the velocities after the drift
     last_kick: float  # s
     booked: float  # s, part of the drift for which the work of other forces is booked beforehand
     held_kick: float  # s, effective length of the first kick for held contacts

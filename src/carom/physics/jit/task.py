@@ -53,7 +53,7 @@ class PlainJob:
 
 
 def address_of(kernel: Callable[..., None], kind: int) -> int:
-    """Return the address of a kernel's machine code for (lo, hi, *arguments) of a kind, see `kind_of`."""
+    """Return the address of a kernel's machine code for (lo, hi, *arguments), given their kind (`kind_of`)."""
     for compiled in kernel.overloads.values():  # type: ignore[attr-defined]
         if _kind(compiled.signature.args[2:]) == kind:
             address: int = compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name)

@@ -218,6 +218,6 @@ def sharing_all() -> Iterator[None]:
 
 
 def load_helpers() -> None:
-    """Load the kernel in which helpers wait, which a run does when it first shares work."""
+    """Load the kernel in which helpers wait; a run loads it when it first shares work."""
     if not PLAIN:
         _look(np.zeros(WORDS, dtype=np.int64), OFFER, 0)

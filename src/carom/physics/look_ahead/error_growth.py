@@ -42,7 +42,7 @@ FALLING = 0.82  # largest ratio of successive distances that counts as a reducti
 APART = 1e-2  # distance of twins, relative to the size, above which they no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
 LEAST_POWER = 2.0  # smallest power of the time by which an error is expected to grow
-UNSEEN = 3.0  # factor on an error beyond the times that trial runs reached
+UNSEEN = 3.0  # factor for errors beyond the times that trial runs reached
 SMALLEST = 1e-300  # replaces an error of 0, which has no logarithm
 MOST_GROWTH = 600.0  # largest growth of the logarithm of a distance, so that the distance stays finite
 

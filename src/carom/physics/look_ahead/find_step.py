@@ -85,7 +85,7 @@ MOST_ENOUGH = 2
 # number of steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
 STEPS_OF_TWINS = 200
 RADAU_AHEAD = 2.0**-1.5  # refinement of a trial run with gauss-radau15
-RADAU_LONG = 0.25  # refinement of the run whose distance from the trial run measures its error
+RADAU_LONG = 0.25  # refinement of a second run, whose distance from the trial run measures errors
 # Refinement, and ratio of the error of its steps to that distance. In 40 scenes (Kepler orbits of up to 3000 periods,
 # planets, hierarchical triples, 3 to 60 bodies), the largest ratios at the end were 1.1, 0.2, 0.009 and 0.0013; steps
 # of refinement 1 have only rounding errors.

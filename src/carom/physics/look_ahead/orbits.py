@@ -23,9 +23,9 @@ from carom.scene.load import Scene
 from carom.scene.start import InitialBodies
 
 ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63 resolve the innermost orbit
-COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; from these up to 1, the error falls faster than to second order
+COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between these and 1, the error falls faster than its second order says
 COMPARED = (1.0, 1.2)
-# Factor on the extrapolated error. In individual systems, the error is up to 9 times a second-order term, because it
+# Factor for the extrapolated error. In individual systems, the error is up to 9 times a second-order term, because it
 # has terms of higher order with either sign.
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements that cost less than gauss-radau15

@@ -1,4 +1,4 @@
-"""A trial run, which advances only as far as positions are requested and its share of the budget lasts.
+"""A trial run, which advances up to the times at which positions are requested, while its share of the budget lasts.
 
 The budget is an amount of work, not of time, so a promise has the same bits on any machine. Work is in nominal seconds:
 the numbers of steps, iterations, held contacts and impacts in the trial runs, times their costs, which were measured on
@@ -50,7 +50,7 @@ ITERATIONS = 2.5  # iterations per step
 ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # cost of a step of Wisdom–Holman integration
 AT_ONCE = 0.05  # nominal s that a kernel takes between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
-NEVER = 2**62  # number of steps between two checks of the energy of a trial run, so that there is none
+NEVER = 2**62  # number of steps between two energy checks of a trial run: there are none
 
 
 @dataclass
@@ -121,7 +121,7 @@ def step_work(scene: Scene) -> float:
 
 
 class TrialRun:
-    """A run that advances only as far as positions are requested, at ascending times (s), (K,).
+    """A run that advances only up to the times at which positions are requested, (K,) s in ascending order.
 
     It may spend a ``share`` of the whole budget. The actual run is estimated to take ``longer`` times the work of this
     run.

@@ -48,7 +48,7 @@ INFLATED = 1e-6  # excess growth, in radii, so that rounding causes no overlap
 SKIN = 0.3  # distance, in radii, that a sphere may move until neighbours are searched again
 PASS = 0.1  # s, longest time until speeds are reset to 1 radius/s per axis
 FASTEST, SLOWEST = 1.0, 1e-3  # 1/s, rates of growth
-EASE = 10.0  # 1/s², product of the rate of growth and the impacts of a sphere per second
+EASE = 10.0  # 1/s², rate of growth times the number of impacts per second and sphere
 MOST_IMPACTS = 5000  # mean number of impacts per sphere above which spheres have jammed
 MOST_AT_ONCE = 30  # mean number of impacts per sphere in a pass
 

@@ -31,8 +31,8 @@ CELLS = {
     ),
 }
 WIDEST = 1.2  # first spacing, over the spacing at which the region, but for its border, would hold the required points
-NARROWER = 0.995  # factor on the spacing whenever the region holds too few points
-TOUCHING = 1.0 + 1e-9  # factor on the sum of radii, so that rounding makes no neighbours overlap
+NARROWER = 0.995  # factor for the spacing whenever the region has too few points
+TOUCHING = 1.0 + 1e-9  # factor for the sum of radii, so that rounding makes no neighbours overlap
 MOST_POINTS = 50_000_000
 
 

@@ -47,7 +47,7 @@ def _insides(p: Any, x: float, y: float, z: float) -> tuple[float, float, float]
 
 @kernel
 def _on_border(p: Any, x: float, y: float, z: float) -> tuple[int, float, float, float, float]:
-    """Return the edge nearest to a point, the place on it from 0 to 1, and the vector to the point in m."""
+    """Return the edge nearest to a point, the position along it from 0 to 1, and the vector to the point in m."""
     edge, place, fx, fy, fz, least = 0, 0.0, 0.0, 0.0, 0.0, math.inf
     for k in range(3):
         ax, ay, az = _corner(p, k)

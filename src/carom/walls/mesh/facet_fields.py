@@ -62,7 +62,7 @@ def _length(vectors: FloatArray) -> FloatArray:
 
 
 def _neighbours(triangles: IntArray) -> tuple[IntArray, IntArray]:
-    """Return the places of pairs of edges with the same ends, (m,) and (m,)."""
+    """Return the places of pairs of edges with the same ends, (m,) each."""
     ends = np.sort(np.stack((triangles, np.roll(triangles, -1, axis=1)), axis=2), axis=2).reshape(-1, 2)
     order = np.lexsort((ends[:, 1], ends[:, 0]))  # the sort is stable, so that the first triangle comes first
     same = (ends[order[1:]] == ends[order[:-1]]).all(axis=1)

@@ -57,7 +57,7 @@ BODY = dtype_of(SortedBodyRecord)
 class Queue(NamedTuple):
     """A queue of ranges of bodies to be sorted."""
 
-    counters: IntArray  # (COUNTERS,) numbers of unsorted bodies, ranges put into the queue, and ranges taken from it
+    counters: IntArray  # (COUNTERS,) numbers of unsorted bodies, of ranges put into the queue, and of ranges taken
     end: IntArray  # (k,) end of each range; 0 until the range is written
     begin: IntArray  # (k,)
     box: IntArray  # (k,) index of the first box of each range
@@ -259,7 +259,7 @@ def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
 
 @kernel
 def _group(boxes: int, first: IntArray, last: IntArray, skip: IntArray, edges: IntArray) -> int:
-    """Divide the sorted bodies into groups, each of which is the bodies of one box; return the number of groups."""
+    """Divide the sorted bodies into groups, each with the bodies of one box; return the number of groups."""
     groups, box = 0, 0
     while box < boxes:
         if last[box] - first[box] <= GROUP or skip[box] == box + 1:

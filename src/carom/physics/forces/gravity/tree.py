@@ -38,7 +38,7 @@ from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
 BOXES_PER_TASK = 64  # number of boxes for about 10 µs of work
-EXACT_UP_TO = 4  # number of bodies that are summed one by one, which is exact and about as fast as using their moments
+EXACT_UP_TO = 4  # boxes with so few bodies are summed body by body, which is exact and about as fast as their moments
 
 
 class CentreRecord(Protocol):

@@ -116,7 +116,7 @@ def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
 
 @inline
 def max_displacement(motion: Motion, planes: int, dt: float) -> float:
-    """Return a bound on the distance (m) that any body moves in a step, relative to planes or to the mean velocity."""
+    """Return a bound on the distance (m) that any body moves in a step; without planes, relative to the mean motion."""
     v, b, n = motion.velocity, motion.b, len(motion.velocity)
     ux, uy, uz = 0.0, 0.0, 0.0
     if planes == 0:
@@ -200,7 +200,7 @@ def _chord(path: FloatArray, a: float, b: float) -> float:
 
 @inner
 def _bounds(path: FloatArray) -> tuple[float, float, float]:
-    """Return bounds on |d'|, |d''| and |d'''| in [0, 1]."""
+    """Return bounds on |d'|, |d''| and |d'''| for h in [0, 1]."""
     first, second, third = 0.0, 0.0, 0.0
     for m in range(1, COEFFICIENTS):
         size = np.sqrt(path[m, 0] * path[m, 0] + path[m, 1] * path[m, 1] + path[m, 2] * path[m, 2])

@@ -38,7 +38,7 @@ PASSING = 1.0 / 16.0
 LARGEST_CHANGE = 4.0  # largest factor by which a step grows; a step that is too long by a larger factor is repeated
 SHRINKING = 2.0  # a step is repeated again only if the ratio of wanted to tried step has risen by this factor
 MAX_ITERATIONS = 12  # largest number of iterations of a step; rounding keeps some steps from converging
-CONVERGED = 1e-16  # tolerated residual at a node, relative to the largest acceleration: half a last bit
+CONVERGED = 1e-16  # tolerated residual at a node, relative to the largest acceleration: half a unit in the last place
 # Refinements, and the residual that is tolerated below each. On orbits of eccentricity 0.05 to 0.9, these residuals add
 # less to the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
 LONGER = ((2.0**-1.75, 1e-9), (2.0**-1.25, 1e-11), (2.0**-0.25, 1e-12))

@@ -26,7 +26,7 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inner
 from carom.physics.vector import vector, write
 
-SERIES_UP_TO = 0.3  # largest |z| at which the omitted terms are below half a last bit
+SERIES_UP_TO = 0.3  # largest |z| at which the omitted terms are below half a unit in the last place
 TERMS = 7  # terms of the series
 C2 = tuple(float(Fraction((-1) ** j, factorial(2 + 2 * j))) for j in range(TERMS))
 C3 = tuple(float(Fraction((-1) ** j, factorial(3 + 2 * j))) for j in range(TERMS))

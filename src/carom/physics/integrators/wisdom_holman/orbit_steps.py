@@ -66,7 +66,7 @@ class OrbitArrays(NamedTuple):
     speed: FloatArray  # (n, 3) m/s, velocities relative to the centre of mass
     acceleration: FloatArray  # (n, 3) m/s²
     max_displacement: FloatArray  # (n,) m, largest displacement of each body in the time that `meets` tests
-    lanes: FloatArray  # workspace of the Kepler orbits and of the gravity of many bodies
+    lanes: FloatArray  # workspace for Kepler orbits, and for gravity between many bodies
 
 
 @inner

@@ -100,7 +100,7 @@ class MultipoleLaw(NamedTuple):
     G: float  # m³/(kg s²)
     eps2: float  # m², softening squared
     theta2: float  # opening angle squared
-    unit: float  # 1/m; factor on lengths in multipoles and local expansions
+    unit: float  # 1/m; multiplies lengths in multipoles and local expansions
 
 
 class MultipoleSums(NamedTuple):

@@ -111,7 +111,7 @@ def expand(
     """Write centre, radius and multipoles of the boxes of ``count`` ranges, from the last box of a range to the first.
 
     Each of the threads [lo, hi) takes the next range until none is left; ``taken_so_far``, (1,), counts the ranges.
-    ``unit`` (1/m) is a factor of lengths, and ``powers_of`` a buffer, (threads, POLES), for v^n / n!.
+    ``unit`` (1/m) multiplies lengths, and ``powers_of`` is a buffer, (threads, POLES), for v^n / n!.
     """
     x, m, boxes, poles, powers = tree.x, tree.m, tree.boxes, tree.poles, powers_of[lo]
     powers[0] = 1.0

@@ -65,7 +65,7 @@ _PLACE = {n: place for place, n in enumerate(_LOCAL)}  # place of a multi-index 
 LOCAL = len(_LOCAL)  # number of coefficients in a local expansion
 POLES = len(_POLES)  # multipoles of a box
 MASS = 0  # column of the mass in multipoles
-CENTRE = 1  # first of three columns of the centre of mass in multipoles
+CENTRE = 1  # first of three columns for the centre of mass in multipoles
 assert POLES % LANES == 0  # a row is loaded in whole vectors
 
 
@@ -156,7 +156,7 @@ def attract(code: Code, poles: Any, boxes: Any, at: Any, point: Any, unit: Any, 
     """Add the local expansions of eight boxes about a point (m), each to its own lane of ``sums``, (LOCAL × LANES,).
 
     ``poles``, (k, POLES), are the multipoles of all boxes, and ``boxes`` has indices; the eight indices from ``at`` on
-    are used. ``unit`` (1/m) is a factor of lengths; ``eps2`` is the softening squared in these units.
+    are used. ``unit`` (1/m) multiplies lengths; ``eps2`` is the softening squared in these units.
     """
     builder, chosen, total = code.builder, code.element("boxes", at), code.element("sums", 0)
     rows = [code.element("poles", code.load(chosen, lane), 0) for lane in range(LANES)]
@@ -222,7 +222,7 @@ def _evaluate_one_by_one(
 def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, lanes: Any) -> None:
     """Evaluate a local expansion, row ``at`` of ``local``, about the point x, y, z (m), at eight bodies.
 
-    ``unit`` (1/m) is a factor of lengths. ``lanes``, (7, LANES), has rows `X` to `PHI`; results are added to the sums.
+    ``unit`` (1/m) multiplies lengths. ``lanes``, (7, LANES), has rows `X` to `PHI`; results are added to the sums.
     """
     builder, coefficient = code.builder, code.element("local", at, 0)
     rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
