@@ -81,7 +81,7 @@ class TotalsRecord(Protocol):
 
 
 Room = tuple[float, float, float]
-"""Lengths in m: the smallest gap at the last test, the distance moved since by any body at most, a drift's rounding."""
+"""Lengths in m: smallest gap at the last test, largest possible motion of a body since then, rounding of a drift."""
 
 UNTESTED: Room = (0.0, 0.0, 0.0)
 TOTALS = dtype_of(TotalsRecord)

@@ -125,8 +125,8 @@ def largest_speed(scene: Scene) -> float:
 def most_steps(scene: Scene, first: float) -> float:
     """Return the largest number of steps of a run, given its first step (s) and the fastest conceivable contacts.
 
-    Bodies that fall onto another body reach its escape speed, v = √(2 G m/r). The velocity limit then allows the
-    smallest body, of radius r, that slides or rolls there a step of κ r/v, where κ is `cfl`.
+    Bodies that fall onto another body reach its escape speed, v = √(2 G m/r). The smallest body that slides or rolls
+    there may then move in a step by `cfl` times its own radius.
     """
     duration, fixed, limit = scene.time.duration, scene.time.fixed_dt, cfl(scene)
     if fixed is not None or limit is None:

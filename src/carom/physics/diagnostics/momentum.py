@@ -8,7 +8,7 @@ centre of mass X moves on a parabola:
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
 
 With drag, the impulses of the medium and the field are booked step by step instead. Planes, walls and fixed bodies
-absorb momentum; in scenes that have any, momenta are not compared.
+absorb momentum; in scenes with any of these, momenta are not compared.
 """
 
 from __future__ import annotations

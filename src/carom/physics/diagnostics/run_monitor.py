@@ -124,7 +124,7 @@ MIN_STEPS = 50_000  # runs with fewer steps end before a warning is useful
 
 REMEDY = {  # the key that allows longer steps, by the limit that shortens them
     "acceleration": "time.target_dx",
-    "held": "time.target_dx, to more than 1 % of the smallest radius",  # the automatic value of held bodies
+    "held": "time.target_dx, to more than 1 % of the smallest radius",  # 1 % is the automatic value for held bodies
     "velocity": "time.cfl",
     "pull": "time.pull_fraction",
     "cap": "time.max_dt",
