@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import RecordArray
+from carom.physics.contact.events.supports import add_support, is_supported, leave_or_stay
 from carom.physics.contact.events.trajectories import (
     Trajectories,
     centre,
@@ -50,6 +51,55 @@ from carom.physics.vector import add, between, vector
 def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Trajectories) -> None:
     """Resolve an impact with the velocities at its time, and write it into a row of the log.
 
+    The velocities of bodies that something fixed supports include the pushes of their contacts, whose losses change
+    (`supports`).
+    """
+    one, other = is_supported(i, T), is_supported(j, T)
+    if not (one or other):
+        _collide(i, j, log, row, 0.0, T)
+        return
+    nx, ny, nz, _, _ = contact_geometry(i, j, T)
+    vx, vy, vz = relative_velocity(i, j, T)
+    along_path = _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
+    add_support(i, 1.0, T)
+    add_support(j, 1.0, T)
+    wx, wy, wz = relative_velocity(i, j, T)
+    if not wx * nx + wy * ny + wz * nz < 0.0:  # friction has ended the approach, but not the one along straight paths
+        add_support(i, -1.0, T)
+        add_support(j, -1.0, T)
+        _collide(i, j, log, row, 0.0, T)
+        return
+    with_support = _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
+    _collide(i, j, log, row, (wx - vx) * nx + (wy - vy) * ny + (wz - vz) * nz, T)
+    entry = log[row]
+    with_support -= _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
+    Jx = entry.normal_impulse * nx + entry.friction_x
+    Jy = entry.normal_impulse * ny + entry.friction_y
+    Jz = entry.normal_impulse * nz + entry.friction_z
+    pressed = leave_or_stay(i, -Jx, -Jy, -Jz, T) + leave_or_stay(j, Jx, Jy, Jz, T)
+    along_path -= _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
+    drift = T.drift[0]
+    drift.restitution -= pressed
+    drift.friction -= with_support - along_path - pressed
+
+
+@inner
+def _kinetic_energy(counts: bool, i: int, T: Trajectories) -> float:
+    """Return the kinetic energy (J) of a body at the present time if it ``counts``, otherwise 0."""
+    if not counts:
+        return 0.0
+    vx, vy, vz = velocity(i, T)
+    energy = 0.5 * (vx * vx + vy * vy + vz * vz) / T.inverse_mass[i]
+    if len(T.omega) > 0 and T.inverse_inertia[i] > 0.0:
+        wx, wy, wz = vector(T.omega, i)
+        energy += 0.5 * (wx * wx + wy * wy + wz * wz) / T.inverse_inertia[i]
+    return float(energy)
+
+
+@inner
+def _collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, pushed: float, T: Trajectories) -> None:
+    """Resolve an impact with the velocities of `velocity`; ``pushed`` (m/s) is the part of v_n due to supports.
+
     If a row of the log were the argument, Numba would compare the type of the row with the types of all other logs, and
     warn.
     """
@@ -67,7 +117,7 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
     Jn = max(0.0, rebound(e, vn)) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
     if max(T.load_speed[i], T.load_speed[j]) > 0.0:  # a force may press the bodies together
-        landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T)
+        landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T) + pushed
         if landing > max(vn, -e * vn):
             Jn = (landing - vn) / Kn
             entry.stabilisation_gain = entry.restitution_loss - normal_loss(Jn, vn, Kn)

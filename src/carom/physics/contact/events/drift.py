@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carom.arrays import BoolArray, IntArray, RecordArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.events.collision import collide
@@ -27,10 +27,12 @@ from carom.physics.contact.events.event_loop import (
 from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.held_group import hold_group
 from carom.physics.contact.events.nearest_velocities import MOST_CONTACTS, Group, empty_group
+from carom.physics.contact.events.supports import correct_impulses, mark_supported
 from carom.physics.contact.events.time_of_impact import step_by_impacts
 from carom.physics.contact.events.trajectories import (
     DRIFT,
     MOST_HOLDS,
+    SUPPORT,
     TRAJECTORY,
     Neighbours,
     Trajectories,
@@ -42,7 +44,7 @@ from carom.physics.contact.events.trajectories import (
     straighten,
     write_search_radii,
 )
-from carom.physics.contact.hooks import Mover, PresentStep
+from carom.physics.contact.hooks import NO_ENTRIES, Mover, PresentStep
 from carom.physics.contact.impact_log import IMPACT, MAX_IN_COLLAPSE, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, Impacts
 from carom.physics.contact.islands import island_load_speeds
 from carom.physics.contact.law import dissipates, has_torque, material_index
@@ -82,7 +84,11 @@ class EventDrivenDrift(Mover):
         self._fixed = ends.inverse_mass[:n] == 0.0
         self.pressing = solver.pressing  # (n + p, 3) m/s², accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
+        self._is_still = ends.inverse_mass == 0.0  # (n + p,) fixed bodies, and solids at rest, which may be supports
+        self._is_still[n:] &= ~planes.driven
+        self._supports = contacts.lasts and shear is None and bool(self._is_still.any())
         self._group = empty_group()  # workspace of held contacts
+        self._losses = NO_ENTRIES  # (k, 3) J, losses by supports of the bodies that were hit in the last drift
         self._absent: BoolArray | None = None  # (n,) absent bodies, which `trajectories.everyone` lacks
         self._is_open = not (shear or world.box.any())  # no axis is periodic
         # log of the impacts in a call; it grows with the number of impacts in a step
@@ -101,6 +107,7 @@ class EventDrivenDrift(Mover):
             radius=ends.radius,
             load_speed=np.zeros(len(ends.radius)),
             loads=solver.loads,
+            support=np.zeros(n, dtype=SUPPORT),
             box=shear.at(0.0) if shear else world.box,
             surface=planes.surface,
             offset=planes.offset,
@@ -131,6 +138,9 @@ class EventDrivenDrift(Mover):
         self._finish = entry_of(finish, 0, 0, T)
         self._begin(T, 1.0, 0.0, 0.0, False, pressed)
         self._straighten(ImpulseCache.empty(), None)
+        if self._supports:
+            self._mark_supported(ImpulseCache.empty(), 1.0)
+            correct_impulses(nobody, nothing, ImpulseCache.empty().contacts, 0.0, T)
         if self._forces:
             self._write_load_speeds(nobody, 1.0, 1.0, 0.0)
         if self._is_open:
@@ -175,6 +185,7 @@ class EventDrivenDrift(Mover):
 
     def _move(self, step: PresentStep) -> Impacts:
         (kick, damping, strength), dt, contacts = step.path, step.drift, self._contacts
+        self._losses = NO_ENTRIES
         scale, skin = contacts.near.margins(dt)  # near bodies belong to one island
         held = contacts.impulses if contacts.is_at_rest else ImpulseCache.empty()
         T, bodies, n = self.trajectories, self._bodies, len(self._bodies)
@@ -204,7 +215,12 @@ class EventDrivenDrift(Mover):
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
             self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._predict)
             if self._fill_queue(T):
+                supports = self._supports and held.kick > 0.0
+                if supports:
+                    self._mark_supported(held, strength)
                 impacts = self._resolve(pairs, T)
+                if supports:
+                    self._book_supports(held, strength)
         if len(impacts):
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._finish)
         else:
@@ -251,6 +267,24 @@ class EventDrivenDrift(Mover):
         straighten(held.pairs, held.place, held.contacts, self.trajectories)
         if unmoved is not None:
             self.trajectories.body["is_straight"][unmoved] = True
+
+    def _mark_supported(self, held: ImpulseCache, strength: float) -> None:
+        """Write the accelerations by contacts of the bodies that something fixed supports."""
+        mark_supported(held.pairs, held.place, held.contacts, held.kick, strength, self._is_still, self.trajectories)
+
+    def _book_supports(self, held: ImpulseCache, strength: float) -> None:
+        """Book what the supports of the bodies that were hit gave beyond their kicks, and correct their impulses."""
+        contacts, drift = self._contacts, self.trajectories.drift
+        losses = np.array([[drift["restitution"][0], drift["friction"][0], 0.0]])
+        if losses.any():
+            self._losses = losses
+            contacts.ledger_apart = np.concatenate((contacts.ledger_apart, losses))
+        if drift["hit"][0]:
+            correct_impulses(held.pairs, held.place, held.contacts, strength / held.kick, self.trajectories)
+
+    def losses(self) -> FloatArray:
+        """Return what the supports of the bodies that were hit in the last drift lost beyond their kicks."""
+        return self._losses
 
     def _write_load_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Compute the load speed of each body."""

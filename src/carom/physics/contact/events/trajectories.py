@@ -75,9 +75,36 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     is_straight: bool  # whether the path does not bend with the field, because the body is held or fixed
     is_free: bool  # whether the body has touched nothing since the last step, so that it bounces at any speed
     exhausted: bool  # whether the body has had as many impacts as a drift allows
+    is_supported: bool  # whether contacts hold the body, and all of them are with something fixed; see `supports`
 
 
 TRAJECTORY = dtype_of(TrajectoryRecord)
+
+
+class SupportRecord(Protocol):
+    """What the contacts of a supported body give it in a step; see `supports`."""
+
+    press_x: float  # m/s², acceleration p by their normal impulses in the kick before the drift
+    press_y: float
+    press_z: float
+    rub_x: float  # m/s², acceleration by their friction: f before the first impact, f' afterwards
+    rub_y: float
+    rub_z: float
+    turn_x: float  # rad/s², angular acceleration by their torques: α before the first impact, α' afterwards
+    turn_y: float
+    turn_z: float
+    end: int  # the fixed end of the only contact; -1 if there are several
+    arm: float  # m, lever arm of that contact
+    rise: float  # s, time in which the contacts could stop the rise of the body by the impacts so far
+    is_hit: bool  # whether the body has had an impact in this drift; the fields below have a meaning only then
+    cut: float  # s, time from the kick to the first impact, which ends f and α
+    lifted: float  # s, time from the kick to the impact that lifted the body off its support; 0 if none did
+    slid_x: float  # m/s, change of velocity by f' beyond the kick after the drift
+    slid_y: float
+    slid_z: float
+
+
+SUPPORT = dtype_of(SupportRecord)
 
 
 class DriftRecord(Protocol):
@@ -88,6 +115,7 @@ class DriftRecord(Protocol):
     damping: float  # 1/s, rate at which drag slows bodies down; 0 without drag
     clock: float  # s, the present time
     slow: float  # fraction of the rest speed below which contacts are left to the end of the step
+    bends: bool  # whether the paths of bodies that nothing holds bend with the field
     loading: float  # s, length of the step times `NearPairs.loading`
     field_x: float  # m/s², the uniform field that bends paths; zeros where no path bends
     field_y: float
@@ -98,6 +126,9 @@ class DriftRecord(Protocol):
     queued: int  # number of bodies in the event queue
     strays: int  # number of bodies that left their search radius
     exhausted: int  # number of bodies that had as many impacts as a drift allows
+    hit: int  # number of supported bodies that were hit
+    restitution: float  # J, losses by the supports of bodies that were hit, beyond those in the kicks; see `supports`
+    friction: float
 
 
 DRIFT = dtype_of(DriftRecord)
@@ -126,6 +157,7 @@ class Trajectories(NamedTuple):
     radius: FloatArray  # (n + p,) m
     load_speed: FloatArray  # (n + p,) m/s, largest acceleration in the body's island times the step
     loads: RecordArray[LoadRecord]  # (n + p,) loads of the held contacts
+    support: RecordArray[SupportRecord]  # (n,) meaningful for supported bodies
     box: FloatArray  # (3,) m, size of the periodic box, zeros in open space; or the record of a sheared box
     surface: FloatArray  # (p, 3) normals, or records of solids; see `solids`
     offset: FloatArray  # (p,) m
@@ -177,12 +209,14 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
     drift = T.drift[0]
     drift.dt, drift.kick, drift.clock, drift.damping = dt, kick, 0.0, damping
     drift.queued = drift.strays = drift.exhausted = 0
+    drift.bends, drift.hit, drift.restitution, drift.friction = bends, 0, 0.0, 0.0
     for i in range(len(T.body)):
         body = T.body[i]
         vx, vy, vz = vector(T.v, i)
         body.start_x, body.start_y, body.start_z = vector(T.x, i)
         body.impact_time, body.impacts, body.queue_place = np.inf, 0, -1
         body.is_straight, body.is_free = not bends or T.inverse_mass[i] == 0.0, not pressed[i]
+        body.is_supported = False
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
         arrive(i, T)
 

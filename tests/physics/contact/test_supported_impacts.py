@@ -1,0 +1,126 @@
+"""A body that rests, rolls or slides on something fixed is hit with the velocities that its contacts leave it.
+
+The contacts of such a body act in the kicks at both ends of a step, and an impact lies between them. Closed forms, at
+steps whose impacts fall anywhere within them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.physics.space import Space
+from carom.scene.load import Scene
+
+R, V, G = 0.1, 1.0, 9.81  # m, m/s, m/s²
+ROUNDED = 1e-12  # relative; some 10³ steps
+STEPS: list[dict[str, float]] = [{}, {"max_dt": 7e-4}, {"fixed_dt": 3e-3}, {"fixed_dt": 1.7e-3}]
+GRIP = {"restitution": 0.0, "static_friction": 20.0, "kinetic_friction": 20.0}
+
+
+def rolling(x: float = 0.0, **further: Any) -> dict[str, Any]:
+    return {"position": [x, 0, R], "radius": R, "velocity": [V, 0, 0], "angular_velocity": [0, V / R, 0]} | further
+
+
+def space_of(duration: float, time: dict[str, float], contact: dict[str, Any], **sections: Any) -> Space:
+    gravity = {"constant": 0.0, "uniform": [0.0, 0.0, -G]}
+    document = {"time": {"duration": duration, **time}, "gravity": gravity, "contact": contact, **sections}
+    return Space(Scene.from_dict(document), threads=1, record_contacts=True)
+
+
+def ended(*arguments: Any, **sections: Any) -> Space:
+    """Run a scene to its end, with an energy that closes to rounding."""
+    space = space_of(*arguments, **sections)
+    for _ in space.run():
+        pass
+    error = space.extremes.energy_error
+    assert error is not None and error.value <= 1e-13
+    return space
+
+
+def incline(angle: float, x: float = 0.5) -> dict[str, Any]:
+    return {"normal": [-math.sin(angle), 0.0, math.cos(angle)], "point": [x, 0.0, 0.0]}
+
+
+@pytest.mark.parametrize("degrees", [5.0, 20.0, 40.0, 65.0])
+@pytest.mark.parametrize("time", STEPS)
+def test_a_rolling_ball_that_meets_an_incline_keeps_its_angular_momentum_about_the_contact(
+    degrees: float, time: dict[str, float]
+) -> None:
+    angle = math.radians(degrees)
+    along = np.array([math.cos(angle), 0.0, math.sin(angle)])
+    meets = 0.5 - R * math.tan(0.5 * angle)  # m, and s
+    space = ended(meets + 0.05, time, GRIP, plane=[{}, incline(angle)], body=[rolling()])
+    after = V * (2.0 + 5.0 * math.cos(angle)) / 7.0
+    expected = after - 5.0 / 7.0 * G * math.sin(angle) * 0.05
+    assert space.state.velocity[0] @ along == pytest.approx(expected, rel=ROUNDED)
+    assert space.state.angular_velocity[0, 1] * R == pytest.approx(expected, rel=ROUNDED)
+    way = after * 0.05 - 2.5 / 7.0 * G * math.sin(angle) * 0.05**2
+    # the step of the impact rolls on at its mean speed, without the field of the rest of the step: ½ g dt² at most
+    dt = max(time.values(), default=1e-3)
+    assert (space.state.position[0] - [meets, 0.0, R]) @ along == pytest.approx(way, abs=0.5 * G * dt**2)
+
+
+@pytest.mark.parametrize("restitution", [0.3, 1.0])
+@pytest.mark.parametrize("time", STEPS)
+def test_a_rolling_ball_climbs_a_wall_as_high_as_friction_throws_it(time: dict[str, float], restitution: float) -> None:
+    friction = 0.1  # less than 2/7 / (1 + e): it slips throughout the impact
+    contact = {"restitution": restitution, "static_friction": friction, "kinetic_friction": friction}
+    space = ended(0.415, time, contact, plane=[{}, incline(0.5 * math.pi)], body=[rolling()])
+    thrown, since = friction * (1.0 + restitution) * V, 0.415 - 0.4  # m/s up, and s
+    assert space.state.velocity[0] == pytest.approx([-restitution * V, 0.0, thrown - G * since], abs=ROUNDED)
+    assert space.state.position[0, 2] - R == pytest.approx(thrown * since - 0.5 * G * since**2, abs=ROUNDED)
+    assert space.state.angular_velocity[0, 1] * R == pytest.approx(V - 2.5 * thrown, abs=ROUNDED)
+
+
+def cloth(friction: float) -> list[dict[str, Any]]:
+    return [{"static_friction": friction, "kinetic_friction": friction}]
+
+
+@pytest.mark.parametrize("dt", [4e-3, 1.7e-3, 1e-3])
+def test_a_ball_slides_into_another_at_the_speed_that_friction_has_left_it(dt: float) -> None:
+    friction, way = 0.3, 0.05  # m between the surfaces; it slides for 0.083 m
+    slides, other = rolling(angular_velocity=[0.0, 0.0, 0.0]), {"position": [way + 2.0 * R, 0.0, R], "radius": R}
+    smooth = {"restitution": 1.0, "static_friction": 0.0}
+    space = space_of(0.1, {"fixed_dt": dt}, smooth, plane=cloth(friction), body=[slides, other])
+    struck = next(frame.impacts for frame in space.run() if frame.impacts is not None and len(frame.impacts))
+    speed = math.sqrt(V * V - 2.0 * friction * G * way)
+    # between the kicks the path is straight, at most a dt²/8 beside the true one
+    late = friction * G * dt**2 / 8.0 / speed
+    assert struck["approach_speed"][0] == pytest.approx(speed, abs=2.0 * friction * G * late)
+
+
+@pytest.mark.parametrize("dt", [4e-3, 1.7e-3, 1e-3])
+def test_friction_slows_a_ball_from_the_moment_at_which_it_was_hit(dt: float) -> None:
+    friction, way = 0.3, 0.1
+    smooth, other = {"restitution": 1.0, "static_friction": 0.0}, {"position": [way + 2.0 * R, 0.0, R], "radius": R}
+    space = ended(0.15, {"fixed_dt": dt}, smooth, plane=cloth(friction), body=[rolling(), other])
+    since = 0.15 - way / V
+    # one had rolled and now spins on the spot, the other slides
+    expected = [friction * G * since, V - friction * G * since]
+    assert space.state.velocity[:, 0] == pytest.approx(expected, rel=ROUNDED)
+    spins = [V - 2.5 * friction * G * since, 2.5 * friction * G * since]
+    assert R * space.state.angular_velocity[:, 1] == pytest.approx(spins, rel=ROUNDED)
+
+
+def test_a_ball_at_rest_that_is_hit_along_the_floor_stays_on_it() -> None:
+    smooth, rests = {"restitution": 1.0, "static_friction": 0.0}, rolling(0.5, velocity=[0.0, 0.0, 0.0])
+    space = ended(0.5, {"fixed_dt": 3e-3}, smooth, plane=[{}], body=[rolling(), rests])
+    assert np.array_equal(space.state.position[:, 2], [R, R])
+    assert space.state.velocity == pytest.approx(np.array([[0.0, 0, 0], [V, 0, 0]]), abs=ROUNDED)
+
+
+def test_the_billiards_err_by_less_than_a_ten_thousandth_of_a_radius_and_by_the_square_of_the_step() -> None:
+    def at_the_end(dt: float) -> Any:
+        space = Space(Scene.load("billiards", [f"time.fixed_dt={dt}", "time.duration=0.6"]), threads=1)
+        for _ in space.run():
+            pass
+        return space.state.position.copy()
+
+    fine = at_the_end(0.0025 / 256)
+    errors = [float(np.abs(at_the_end(0.0025 / k) - fine).max()) for k in (1, 16)]
+    assert errors[0] < 2e-6  # m; 4.6e-4 if impacts ignore what the cloth does to the balls
+    assert errors[1] < errors[0] / 16**2 * 8  # 8: impacts fall anywhere within their steps
