@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from carom.display.legend import BODIES, LegendContents, legend
+from carom.display.legend import LegendContents, legend
+from carom.display.legend_layout import BODIES
 from carom.display.motion_texts import motion_texts
 from carom.physics.space import Space
 from carom.runs.run import header_of

@@ -42,7 +42,7 @@ from carom.display.close_up_camera import (
     nearest_images,
     shown_whole,
 )
-from carom.display.legend import DrawnLabels, Legend, MovieClock
+from carom.display.legend_layout import DrawnLabels, Legend, MovieClock
 from carom.display.letters import apart, beyond, label_width
 from carom.display.margins import moving
 from carom.display.request import ShownStep, at_impact

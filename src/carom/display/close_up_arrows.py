@@ -11,7 +11,8 @@ from carom.arrays import FloatArray
 from carom.contact_table import IMPACT_MODE
 from carom.display.body_colours import BodyColours
 from carom.display.close_up_camera import nearest_images, shown_whole
-from carom.display.legend import LegendLine, in_digits
+from carom.display.legend import in_digits
+from carom.display.legend_layout import LegendLine
 from carom.recording.layout import drawing
 from carom.recording.read.named_events import Pair
 from carom.recording.schema import palette, paths

@@ -7,47 +7,33 @@ viewer gets it in a `Supplement`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import product
-from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import rerun as rr
-import rerun.blueprint as rrb
-from numpy.typing import ArrayLike
 
 from carom.arrays import ColourArray, FloatArray
-from carom.display.letters import drawable, label_width, padded
+from carom.display.legend_layout import BODIES, GRAPH, SPACE, Legend, LegendLine, more_bodies
+from carom.display.letters import drawable
 from carom.display.motion_texts import motion_texts
-from carom.display.supplement import Static
 from carom.recording.layout import OF_LATE, drawing, is_crowded
-from carom.recording.layout.canvas import LEGEND, Area, View
-from carom.recording.layout.drawing import DIMENSIONS, REACH, magnitude_at, shape, single
+from carom.recording.layout.drawing import DIMENSIONS, REACH, magnitude_at, shape
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.write.encoder import SPEED
-from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.dimension import Dimension
 from carom.scene.units.system import UnitSystem, raised
 from carom.scene.wording import counted
 from carom.state.frame import Frame
 
-BODIES, GRAPH = "bodies", "graph"  # views
-_SPACE = (BODIES, GRAPH)
 MOST_NAMED = 7  # largest number of bodies with an entry each, so that the scales of arrows remain visible
-_LEAST_NAMED = 2  # smallest number of lines about bodies in a legend
 
 _TINY = -6  # largest power of ten that is written as a common factor of the numbers of a scale
 _KEPT = "\u00a0"  # a space at which no line is broken
-_ROW = 25.0  # points, distance from one line to the next
-_MARGIN = 5.0  # points, margin around the lines
-# width of a legend inside a picture, in points and as a share of the picture
-_WIDEST, _NARROWEST, _MOST_OF_VIEW = 400.0, 200.0, 0.3
-CLOCK = f"{LEGEND}/clock"
 _LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # lengths, in radii, of the arrows whose magnitudes show the scale
 _EDGES = {2: "small", 4: "medium", 6: "large"}  # levels of edges whose impulses show the scale
 _WIDTHS = {2: "thin", 4: "medium", 6: "wide"}  # levels of these edges on white paper, where all edges have one colour
@@ -58,23 +44,6 @@ _NAMES = {
     paths.ANGULAR_IMPULSE: "impact's angular impulse",
     paths.SPIN_CHANGE: "impact's change of spin",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class LegendLine:
-    """A line of the legend."""
-
-    text: str
-    colour: int  # 0xRRGGBBAA
-    views: Sequence[str] = ()  # views whose legend has this line in a picture of a single view
-    bodies: int = 0  # bodies that the line names, in a list that may be folded
-    is_clock: bool = False  # whether its text changes with time
-    is_extra: bool = False  # whether it is left out where there is no room for all lines
-
-    @property
-    def width(self) -> float:
-        """Its width in points."""
-        return label_width(self.text)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,160 +61,6 @@ class LegendContents:
     def __or__(self, other: LegendContents) -> LegendContents:
         """Return the things that are drawn in either of two contents."""
         return LegendContents(*(one or another for one, another in zip(astuple(self), astuple(other), strict=True)))
-
-
-@dataclass(frozen=True, slots=True)
-class MovieClock:
-    """The texts of the clock in the legend of a movie, each with the time from which it applies."""
-
-    times: FloatArray  # (k,) s
-    texts: Sequence[str]  # (k,)
-
-
-@dataclass(frozen=True, slots=True)
-class Legend:
-    """The lines, from top to bottom, with a title and, in a movie, a clock above them."""
-
-    entries: Sequence[LegendLine]
-    theme: str = "dark"
-    clock: MovieClock | None = None
-
-    def titled(self, title: str, clock: MovieClock | str = "") -> Legend:
-        """Return the lines below a title and a clock; if the clock is a text, it does not change."""
-        ink = palette.INKS[self.theme]
-        head = [LegendLine(title, ink, _SPACE)] if title and drawable(title) else []
-        if isinstance(clock, MovieClock):
-            head.append(LegendLine(max(clock.texts, key=label_width), ink, _SPACE, is_clock=True))
-        elif clock:
-            head.append(LegendLine(clock, ink, _SPACE))
-        return replace(self, entries=[*head, *self.entries], clock=clock if isinstance(clock, MovieClock) else None)
-
-    def grouped(self, graph: str, more: Mapping[str, Sequence[LegendLine]]) -> Legend:
-        """Return the lines about all views, then groups with headings: lines about the graph only, and more lines.
-
-        If there is no room, the headings and the optional lines of the groups are left out first.
-        """
-        ink, own = (
-            palette.INKS[self.theme],
-            [line for line in self.entries if line.views == (GRAPH,) and not line.bodies],
-        )
-        entries = [line for line in self.entries if line not in own]
-        for heading, lines in {graph: own, **more}.items():
-            entries += [LegendLine(f"{heading}:", ink, is_extra=True), *lines] if lines else []
-        return replace(self, entries=entries)
-
-    def fitted(self, area: Area) -> Legend:
-        """Return a legend that fits into an area: long lines are broken, and the last of many bodies are left out."""
-        entries, rows = list(self.entries), int((area.height - 2.0 * _MARGIN) / _ROW)
-        while len(found := list(_wrapped(entries, area.width))) > rows:
-            extra = next((k for k in reversed(range(len(entries))) if entries[k].is_extra), None)
-            if extra is not None:
-                del entries[extra]
-                continue
-            named = [k for k, entry in enumerate(entries) if entry.bodies]
-            if len(named) <= _LEAST_NAMED:
-                break
-            last, more = (entries.pop(k) for k in (named[-1], named[-2]))
-            entries.insert(named[-2], _more_bodies(last.bodies + more.bodies))
-        return replace(self, entries=found)
-
-    def of(self, view: str, area: Area) -> Legend:
-        """Return the lines about one view, for a corner of this area."""
-        return replace(self, entries=[entry for entry in self.entries if view in entry.views]).wrapped(area)
-
-    def wrapped(self, area: Area) -> Legend:
-        """Return the lines for a corner of this area."""
-        return self.fitted(replace(area, width=min(_WIDEST, max(_NARROWEST, _MOST_OF_VIEW * area.width))))
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Width and height of the lines, in points; zeros without lines."""
-        if not self.entries:
-            return 0.0, 0.0
-        return max(entry.width for entry in self.entries) + 2.0 * _MARGIN, _ROW * len(self.entries) + 2.0 * _MARGIN
-
-    def view(self, area: Area) -> rrb.Spatial2DView:
-        """Lay out the lines in a view of this size or in a larger view."""
-        return rrb.Spatial2DView(
-            name="Legend",
-            origin=LEGEND,
-            background=rrb.Background(color=palette.GROUNDS[self.theme], kind=rrb.BackgroundKind.SolidColor),
-            visual_bounds=rrb.VisualBounds2D(x_range=[0.0, area.width], y_range=[0.0, area.height]),
-        )
-
-    def beside(self, area: Area) -> DrawnLabels:
-        """Return the lines for a view of this area as labels of invisibly small points.
-
-        A label is centred below its point, and its size does not depend on the size of the view. Spaces make all labels
-        equally wide, so that their left ends are below one another in larger views, too.
-        """
-        fitted, wide = self.fitted(area), area.width - 2.0 * _MARGIN
-        return fitted._drawn(
-            rr.Points2D,
-            1e-3,
-            lambda text: padded(text, wide),
-            lambda _, row, __: (0.5 * area.width, _MARGIN + _ROW * row),
-        )
-
-    def inside(self, view: View, area: Area, corner: tuple[int, int], poses: Sequence[View] = ()) -> DrawnLabels:
-        """Return the labels for a corner of a 3D view; the clock is repeated for each of the ``poses``, if any."""
-        start = (np.array([area.width, area.height]) - self.size) * [corner[0] > 0, corner[1] < 0]
-
-        def place(text: str, row: int, time: int | None = None) -> FloatArray:
-            pose = view if time is None or not poses else poses[time]
-            point = start + np.array([_MARGIN + 0.5 * label_width(text), _MARGIN + _ROW * row])
-            shift = (point - [0.5 * area.width, 0.5 * area.height]) * [1.0, -1.0]
-            return np.asarray(pose.target + pose.height() / area.height * shift @ pose.axes())
-
-        return self._drawn(rr.Points3D, 1e-6 * view.height(), str, place)
-
-    def _drawn(
-        self,
-        archetype: type[rr.Points2D] | type[rr.Points3D],
-        radius: float,
-        written: Callable[[str], str],
-        place: Callable[[str, int, int | None], ArrayLike],
-    ) -> DrawnLabels:
-        """Draw the lines as labels; ``place`` returns the point of a text in a row, at the k-th time of the clock."""
-        colours = palette.readable([entry.colour for entry in self.entries], self.theme)
-        still = [row for row, entry in enumerate(self.entries) if not entry.is_clock]
-        texts = [self.entries[row].text for row in still]
-        points = single(np.array([place(text, row, None) for text, row in zip(texts, still, strict=True)]))
-        common: dict[str, Any] = {"radii": radius, "show_labels": True}
-        statics: list[Static] = []
-        if still:
-            labels = [written(text) for text in texts]
-            statics.append((LEGEND, archetype(points, labels=labels, colors=colours[still], **common)))
-        if self.clock is None or len(still) == len(self.entries):
-            return DrawnLabels(statics, [])
-        row = next(row for row, entry in enumerate(self.entries) if entry.is_clock)
-        statics.append((CLOCK, archetype.from_fields(colors=colours[[row]], **common)))
-        points = single(np.array([place(text, row, k) for k, text in enumerate(self.clock.texts)]))
-        columns = archetype.columns(positions=points, labels=[written(text) for text in self.clock.texts])
-        return DrawnLabels(statics, [Rows(CLOCK, Index(NO_STEPS, self.clock.times), columns)])
-
-
-class DrawnLabels(NamedTuple):
-    """Static data, and rows."""
-
-    statics: Sequence[Static]
-    rows: Sequence[Rows]
-
-
-def _wrapped(entries: Sequence[LegendLine], width: float) -> Iterator[LegendLine]:
-    """Yield the lines, broken between words where they are wider than a view of this width (points)."""
-    for entry in entries:
-        line, *words = entry.text.split(" ")
-        for word in words:
-            if replace(entry, text=f"{line} {word}").width + 2.0 * _MARGIN > width and line.strip("→—■• "):
-                yield replace(entry, text=line)
-                line = "    "
-            line = f"{line} {word}"
-        yield replace(entry, text=line)
-
-
-def _more_bodies(count: int) -> LegendLine:
-    return LegendLine(f"and {count} more", palette.GREY, _SPACE, count)
 
 
 def legend(
@@ -300,7 +115,7 @@ def legend(
     """
     lines = [*_bodies(header, by, colours, references, named), *_edges(header, frame, drawn, theme, by_stage)]
     if instant:
-        lines.append(LegendLine("lines only where bodies touch at this instant", palette.GREY, _SPACE))
+        lines.append(LegendLine("lines only where bodies touch at this instant", palette.GREY, SPACE))
     if drawn.trails:
         path = (
             "path so far" if recent is None else f"path of the last {header.units.text(recent, dimension.TIME, '.1g')}"
@@ -332,10 +147,10 @@ def _bodies(
 ) -> Iterator[LegendLine]:
     """Explain the colours of bodies."""
     if by == header.coloured_by and shape(header) == "mesh":
-        yield LegendLine("■ all bodies; the dark half shows how they rotate", palette.SKY, _SPACE)
+        yield LegendLine("■ all bodies; the dark half shows how they rotate", palette.SKY, SPACE)
     elif by == "material" and header.materials:
         for name, colour in zip(header.materials.names, header.materials.colours, strict=True):
-            yield LegendLine(f"■ {name}", colour, _SPACE)
+            yield LegendLine(f"■ {name}", colour, SPACE)
     elif by in STATIC_COLOURS and colours is not None:
         for line in _groups(header, colours):
             yield replace(line, views=(GRAPH,)) if named else line
@@ -344,24 +159,24 @@ def _bodies(
         known = by == header.coloured_by and middle > 0.0
         text = header.units.text(middle, dimension.VELOCITY, ".3g") if known else "the median speed"
         yield from (
-            LegendLine("■ slow", scale[0], _SPACE),
-            LegendLine(f"■ {text}", scale[len(scale) // 2], _SPACE),
-            LegendLine("■ fast", scale[-1], _SPACE),
+            LegendLine("■ slow", scale[0], SPACE),
+            LegendLine(f"■ {text}", scale[len(scale) // 2], SPACE),
+            LegendLine("■ fast", scale[-1], SPACE),
         )
     elif by == "island":
-        yield LegendLine("■ one colour: linked by contacts", palette.SKY, _SPACE)
-        yield LegendLine("■ without contacts", palette.GREY, _SPACE)
+        yield LegendLine("■ one colour: linked by contacts", palette.SKY, SPACE)
+        yield LegendLine("■ without contacts", palette.GREY, SPACE)
     else:
         few = zip(palette.BODIES[:3], ("first", "second", "third"), strict=True)
-        yield from (LegendLine(f"■ {name} colour of the graph", colour, _SPACE) for colour, name in few)
-        yield LegendLine("■ without contacts", palette.GREY, _SPACE)
+        yield from (LegendLine(f"■ {name} colour of the graph", colour, SPACE) for colour, name in few)
+        yield LegendLine("■ without contacts", palette.GREY, SPACE)
 
 
 def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     """Explain colours by group: a line for each body if there are few, otherwise for each group."""
     names, known = list(header.names), colours.tolist()
     if len(known) <= MOST_NAMED and len(known) == len(names):
-        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k], _SPACE, 1) for k, name in enumerate(names))
+        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k], SPACE, 1) for k, name in enumerate(names))
         return
     if len(known) != len(names):  # a clip of selected bodies
         return
@@ -374,17 +189,17 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
             continue
         name = names[int(members[0])].rstrip(" 0123456789-_#") or f"group {group}"
         text = f"■ {name}, {counted(len(members), 'body')}, in shades"
-        yield LegendLine(text, known[int(members[0])], _SPACE, len(members))
+        yield LegendLine(text, known[int(members[0])], SPACE, len(members))
     for table in groups[groups < -1].tolist():
         members = np.flatnonzero(header.group == table)
         text = f"■ {counted(len(members), 'body')} of a file, in shades"
-        yield LegendLine(text, known[int(members[0])], _SPACE, len(members))
+        yield LegendLine(text, known[int(members[0])], SPACE, len(members))
     single = np.flatnonzero(header.group == -1)
     for k in single[:MOST_NAMED].tolist():
-        yield LegendLine(f"■ {names[k] or f'body {k}'}", known[k], _SPACE, 1)
+        yield LegendLine(f"■ {names[k] or f'body {k}'}", known[k], SPACE, 1)
     left += max(0, len(single) - MOST_NAMED)
     if left:
-        yield _more_bodies(left)
+        yield more_bodies(left)
 
 
 def _edges(

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 
 from carom.arrays import FloatArray
-from carom.display.legend import BODIES, GRAPH, DrawnLabels, Legend
+from carom.display.legend_layout import BODIES, GRAPH, DrawnLabels, Legend
 from carom.display.staging import axes_and_field
 from carom.display.supplement import Static
 from carom.recording.layout import ALL, bodies_area, bodies_eye, graph_eye, legend_area

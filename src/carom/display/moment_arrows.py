@@ -9,7 +9,7 @@ import pyarrow as pa
 import rerun as rr
 
 from carom.arrays import FloatArray
-from carom.display.legend import GRAPH
+from carom.display.legend_layout import GRAPH
 from carom.display.letters import apart, beyond
 from carom.display.margins import Margins
 from carom.display.request import ShownStep

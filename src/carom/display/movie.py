@@ -15,7 +15,8 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.display.body_colours import body_colours, change_with_time, redrawn_for, trail_colours
-from carom.display.legend import LegendContents, MovieClock, drawn_during, impact_marks, legend
+from carom.display.legend import LegendContents, drawn_during, impact_marks, legend
+from carom.display.legend_layout import MovieClock
 from carom.display.letters import drawable
 from carom.display.margins import margins
 from carom.display.motion_marks import motion_marks

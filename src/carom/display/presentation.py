@@ -11,15 +11,8 @@ from carom.arrays import FloatArray
 from carom.contact_table import SLIDING
 from carom.display.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.display.close_up import close_up
-from carom.display.legend import (
-    LegendContents,
-    LegendLine,
-    MovieClock,
-    drawn_at,
-    drawn_during,
-    impact_marks,
-    legend,
-)
+from carom.display.legend import LegendContents, drawn_at, drawn_during, impact_marks, legend
+from carom.display.legend_layout import LegendLine, MovieClock
 from carom.display.letters import drawable
 from carom.display.margins import margins
 from carom.display.moment_arrows import arrow_tips, drawn_arrows, numbers_apart

@@ -178,7 +178,7 @@ class CloseView(Protocol):
 
 
 class LegendView(Protocol):
-    """A view of the meaning of colours; see `display/legend.py`."""
+    """A view of the meaning of colours; see `display/legend_layout.py`."""
 
     def view(self, area: Area) -> rrb.View:
         """Return the view of the legend."""
