@@ -25,7 +25,7 @@ class ContactRow(Protocol):
     step: int
     time: float  # s, time of the impact, or end of the step
     i: int  # i < j
-    j: int  # the second body; numbers from n on are planes, as in the collision graph
+    j: int  # the second body; numbers of n and above are planes, as in the collision graph
     x: float  # m, the contact point
     y: float
     z: float

@@ -12,7 +12,7 @@ from carom.recording.layout.canvas import UP, View, turned
 
 _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
 ROOM = 1.35  # half size of the view around each body, in its radii
-_ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
+_ASIDE = 0.85  # the direction to the eye loses this fraction of its component along the normal
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
 _AROUND = np.radians([0, 30, -30, 60, -60, 90, -90, 120, -120, 150, -150, 180])  # from `_USUAL`, nearest first
 SEEN = 0.5  # smallest ratio of an arrow's length on the screen to its length; below it, the arrow is a speck

@@ -35,7 +35,8 @@ MOST_NAMED = 7  # largest number of bodies with an entry each, so that the scale
 _TINY = -6  # largest power of ten that is written as a common factor of the numbers of a scale
 _KEPT = "\u00a0"  # a space at which no line is broken
 _LENGTHS = {"½": 0.5, "1": 1.0, "1½": 1.5}  # lengths, in radii, of the arrows whose magnitudes show the scale
-_EDGES = {2: "small", 4: "medium", 6: "large"}  # levels of edges whose impulses show the scale
+# impulse levels of the edges that the legend lists, and the word for each
+_EDGES = {2: "small", 4: "medium", 6: "large"}
 _WIDTHS = {2: "thin", 4: "medium", 6: "wide"}  # levels of these edges on white paper, where all edges have one colour
 _PARALLEL = {paths.ANGULAR_ACCELERATION: "angular acceleration", paths.SPIN_CHANGE: "change of spin"}
 _NAMES = {

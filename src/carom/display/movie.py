@@ -145,7 +145,7 @@ def pictures(
     bodies: str | None = None,
     camera: CameraMotion | None = None,
 ) -> Iterator[bytes]:
-    """Return a PNG for each time, in order; they are rendered as they are requested.
+    """Return a PNG for each time, in order; each is rendered when it is requested.
 
     Each picture comes from a viewer that has settled: two successive pictures are equal, byte for byte. Several viewers
     share the work, because each uses one core.

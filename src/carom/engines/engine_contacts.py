@@ -133,9 +133,9 @@ class EngineMoment:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Pairs that may have touched since the previous moment: bodies, and planes from n on."""
+    """Pairs that may have touched since the previous moment: of bodies, or of a body and a plane (n or above)."""
 
-    pairs: IntArray  # (k, 2) i < j; planes from n on
+    pairs: IntArray  # (k, 2) i < j; numbers of n and above are planes
     reach: FloatArray  # (k,) m, sum of the radii r_i + r_j
     small: FloatArray  # (k,) m, smaller radius of the pair
     before: FloatArray  # (k, 3) m, earlier vector from i to j; for a plane, from the centre to the plane

@@ -434,7 +434,7 @@ def expect_finish(recorder: Recorder, expected: bool) -> None:
             return
         _unfinished[recorder] = None
         if _watcher is None or not _watcher.is_alive():
-            # `atexit` would be too late: from Python 3.12 on, no thread can be started there
+            # `atexit` would be too late: since Python 3.12, no thread can be started there
             _watcher = threading.Thread(target=_finish_unfinished, name="carom-exit", daemon=False)
             _watcher.start()
 

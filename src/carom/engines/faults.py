@@ -50,7 +50,7 @@ class Fault:
     time: float  # s
     amount: float  # error in units of the law's scale
     text: str  # a sentence
-    bodies: tuple[int, ...] = ()  # numbers from n on are planes
+    bodies: tuple[int, ...] = ()  # numbers of n and above are planes
     excess: float = 1.0  # violation over tolerance
 
     @property

@@ -18,7 +18,7 @@ from carom.engines.source import Setup
 
 UNCHANGED = 1e-3  # smallest relative change of the closing speed that counts as contact
 TUNNELLED = 0.5  # fraction of the closing speed that bodies keep if they pass through each other without collision
-FOUND = 5e-3  # overlap, in smaller radii, from which even a soft contact must exert a force
+FOUND = 5e-3  # smallest overlap, in smaller radii, at which even a soft contact must exert a force
 SHALLOW = 1e-3  # overlap, in smaller radii, below which bodies have no elastic energy
 OFTEN, RARELY = 20, 0.05  # number of impacts that show an engine's habit, and allowed fraction of exceptions
 ALIKE, FEWEST = 0.5, 4  # smallest speed of compared impacts, relative to the impact, and least number that must agree

@@ -66,8 +66,8 @@ class Model:
     friction: float | None = None  # Coulomb coefficient of all contacts, for the audit; None: unknown
     time_step: float = 0.0  # s, the shortest step to expect; 0 if unknown
     units: str = ""  # units of all numbers, as in `Recorder`; empty for SI
-    # 1/s, rates at which velocities and spins of all bodies decay; None if unknown: they are then measured, if all free
-    # bodies share a rate
+    # 1/s, rates at which velocities and spins of all bodies decay. If None, they are measured, provided that all free
+    # bodies share a rate.
     damping: float | None = None
     angular_damping: float | None = None
     every: int = 1  # default number of calls of `Recorder.frame` per recorded frame; above 1 if states are slow to copy

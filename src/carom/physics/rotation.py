@@ -22,7 +22,7 @@ from carom.physics.jit.team import SOLO, Team
 HALF_PI_HIGH = 1.57079632673412561417
 HALF_PI_LOW = 6.07710050650619224932e-11
 TWO_PI = 6.28318530717958647693
-LARGEST = 1e5  # rad, largest angle that is reduced by multiples of π/2; it contains fewer than 2¹⁶ of them
+LARGEST = 1e5  # rad, largest angle that is reduced by multiples of π/2; fewer than 2¹⁶ multiples fit into it
 TWO_OVER_PI = 0.63661977236758134308
 
 MIN_BODIES_PER_TASK = 1000

@@ -83,7 +83,7 @@ class ShearedBox:
         axes = self._flow, self._gradient
         # (1,), for kernels
         self.record = np.array([(*axes, shear.rate, self._depth, speed, 0.0, *periods, 0.0)], SHEARED_BOX)
-        self._impulse = 0.0  # N s, impulse along the flow by wrapping
+        self._impulse = 0.0  # N s, momentum along the flow gained by wrapping bodies since the last `pop`
         self._work = 0.0  # J, work of the shear by wrapping
 
     def begin(self, time: float) -> None:

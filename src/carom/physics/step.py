@@ -77,7 +77,7 @@ class KickDriftStepper:
         return contact.supported_acceleration if contact and self.timestep.spares_held else NO_SUPPORT
 
     def warm_up(self, dt: float) -> None:
-        """Take a few steps of dt seconds without booking them; they also compute the initial accelerations."""
+        """Take a few steps of dt seconds without booking them; the steps also compute the initial accelerations."""
         # a scene that requires no warm-up makes a single step, which loads the kernels
         for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):
             self._step(dt, with_potential=False)

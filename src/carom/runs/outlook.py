@@ -83,7 +83,7 @@ class Outlook:
     frame_seconds: float  # s for the physics to copy a state, with its energies
     # frames of the coarse run from start to end, as a recording would have them; empty if it was too short
     samples: list[Frame]
-    # s, time from which steps are shorter than earlier ones by the factor `SHORTER`; None if there is none
+    # s, time from which steps are shorter than earlier steps by the factor `SHORTER`; None if there is none
     short_from: float | None
     short_step: float  # s, mean step at the end of the coarse run
     short_limit: str  # the limit that sets the step at the end of the coarse run
@@ -98,9 +98,9 @@ def estimate_steps(
 ) -> Outlook:
     """Estimate the steps of a run, given that each of its first steps takes ``step_seconds``.
 
-    ``flight_seconds`` is the time of a step without contacts, if a run, unlike the coarse run, makes many such steps in
-    one call; ``start`` are the initial bodies, if known. A coarse run takes ``look_seconds`` at most. Raises SceneError
-    or PhysicsError if the scene cannot run.
+    ``flight_seconds`` is the time of a step without contacts. It is given if the run, unlike the coarse run, makes many
+    such steps in one call. ``start`` are the initial bodies, if known. A coarse run takes ``look_seconds`` at most.
+    Raises SceneError or PhysicsError if the scene cannot run.
     """
     fixed = scene.time.fixed_dt
     if fixed is not None:

@@ -43,7 +43,7 @@ LEDGER = 1e-3  # tolerance of a ledger entry relative to the moved energy; the d
 # predictably
 SUDDEN = 0.2
 CHAOTIC = 5e-2  # tolerance of a ledger entry if chaos ends the comparison of bodies, so that entries are statistics
-REGULAR = 0.99  # chaos decides if less than this fraction of the motion was compared
+REGULAR = 0.99  # `LEDGER` applies only if more than this fraction of the motion was compared, otherwise `CHAOTIC`
 OVERLAP = 5e-2  # tolerance of overlaps relative to the smaller radius; a step may move bodies by half a radius or more
 MOST_GROWTH = 300.0  # growth beyond which a twin's tolerance of positions would be a third of the distance covered
 COMPARABLE = 0.5  # a new window begins when less than this fraction of the free bodies is comparable

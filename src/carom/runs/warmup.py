@@ -258,7 +258,7 @@ def _compile_encoding() -> None:
 
 
 def _compile_second_steps(bodies: Bodies) -> None:
-    """Compile the kernels that a run with contacts needs from its second step on, with two bodies in contact."""
+    """Compile the kernels that a run with contacts needs after its first step, with two bodies in contact."""
     pairs, place, ends, none = np.array([[0, 1]]), np.zeros(1, np.int64), len(bodies.ends.velocity), np.zeros(3)
     contacts = np.zeros(1, CONTACT)
     cache = ImpulseCache(pairs, place, contacts, 1.0)

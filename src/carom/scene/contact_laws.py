@@ -24,7 +24,7 @@ def geometric_mean(a: float, b: float) -> float:
 
 
 def geometric_means(one: Numbers, other: Numbers) -> Numbers:
-    """Return the geometric mean of each coefficient, as for friction; it is 0 if one of the two is 0."""
+    """Return the geometric mean of each coefficient, as for friction; the mean is 0 if one of the two is 0."""
     return {name: geometric_mean(a, other[name]) for name, a in one.items()}
 
 

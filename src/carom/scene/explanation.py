@@ -25,7 +25,8 @@ from carom.scene.units.system import UnitSystem
 
 LONGEST = 80  # characters of a key or a given text that messages show and compare
 MOST = 4  # largest number of places that a message lists
-ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # smallest similarity of keys within a section, and across sections
+# smallest similarity at which a key is suggested: within the section, and from other sections
+ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8
 SHORTEST = 3  # smallest number of characters of an abbreviated key
 OTHER_WORDS = {
     **dict.fromkeys(("sphere", "spheres", "ball", "balls", "particle"), "body"),

@@ -134,7 +134,7 @@ class HalfSpaces:
         return False
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
-        """Return the depth of spheres in each half-space, (n, p) m; negative outside."""
+        """Return the depth of spheres in each half-space, (n, p) m; the depth is negative outside."""
         return np.asarray(radius[:, None] - ((position[:, None] * self.normal).sum(axis=2) - self.offset))
 
     def heights(self, position: FloatArray) -> FloatArray:

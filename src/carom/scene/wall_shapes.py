@@ -1,7 +1,7 @@
 """Shapes of walls: surfaces that bodies cannot pass through, besides planes.
 
-A shape is one module: its section in the scene, and the function that finds contacts with it. A [[wall]] has the shape
-after which its section is named.
+A shape is one module: its section in the scene, and the function that finds contacts with it. The name of a [[wall]]'s
+section [wall.NAME] selects its shape.
 """
 
 from __future__ import annotations

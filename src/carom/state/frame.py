@@ -86,7 +86,7 @@ class Frame:
     slot: int | None = None  # slot of the frame's arrays in a `FrameStore`; None if the frame owns them
     # (k,) `CONTACT_ROW` of the impacts since the previous frame, in order of time; None if not requested
     impacts: Records | None = None
-    impacts_left_out: int = 0  # number of impacts that ``impacts`` omits; they have the smallest impulses
+    impacts_left_out: int = 0  # number of impacts, those with the smallest impulses, that ``impacts`` omits
     impact_sums: FloatArray | None = None  # `ImpactSums.flat` over all impacts since the last frame; None if unknown
     contact_rows: Records | None = None  # (m,) `CONTACT_ROW` of this step's contacts, by pair; None if not requested
     angular_impulse: FloatArray | None = None  # (n, 3) N m s, Σ r × J over the impacts of this step

@@ -56,13 +56,13 @@ class MuJoCoSource:
         package.mj_comPos(model, data)
         own = [np.flatnonzero(owner == b) for b in moving]
         free = np.array([_is_free_sphere(package, model, b, geoms) for b, geoms in zip(moving, own, strict=True)])
-        radius = []  # m, radius about the centre of mass of a sphere that contains all shapes of the body
+        radius = []  # m, radius of a sphere about the body's centre of mass that contains all its shapes
         for b, geoms in zip(moving, own, strict=True):
             away = np.linalg.norm(data.geom_xpos[geoms] - data.xipos[b], axis=1) + model.geom_rbound[geoms]
             radius.append(away.max() if len(geoms) else np.sqrt(2.5 * model.body_inertia[b].max() / model.body_mass[b]))
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
-        # the end that each shape belongs to: a body, a plane (numbers from n on), or -1 for none
+        # the end that each shape belongs to: a body, a plane (n or above), or -1 for none
         end_of_body = np.full(model.nbody, -1)
         end_of_body[moving] = np.arange(len(moving))
         self._end_of = end_of_body[owner]

@@ -200,7 +200,7 @@ class Crosscheck:
 
     scene: Scene
     engines: list[Engine]  # engines to compare carom with
-    folder: Path  # folder of the results; it may hold results of an interrupted crosscheck of the same scene
+    folder: Path  # folder of the results, perhaps with results of an interrupted crosscheck of the same scene
     threads: int | None = None  # number of threads for carom's kernels
     force: bool = False  # whether to start over
     limit: float = math.inf  # time limit: s of CPU time for an engine, s for the reference; a longer run is stopped

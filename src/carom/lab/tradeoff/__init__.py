@@ -84,7 +84,7 @@ TO_THE_HORIZON = (  # errors that are compared only up to the horizon, while the
 STATISTICS = tuple(  # errors that are compared to the end of the reference
     f"{error}{ending}" for error in ("size", "dispersion") for ending in ("", "_max", "_end")
 )
-VAGUE = 0.5  # relative uncertainty from which the uncertainty of a cost is shown as a factor
+VAGUE = 0.5  # smallest relative uncertainty at which the uncertainty of a cost is shown as a factor
 SPENT = "the budget"  # first words of the reason for settings that are left out when the budget is spent
 STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 COSTS = "cost / s", "known to", "steps", "mean step / written"  # columns of the first table

@@ -176,7 +176,7 @@ class _Solver:
                 self._end(f"DOP853 stopped at t = {self._units.text(solver.t, TIME)}: {message}")
                 break
             if self._contacts:
-                # gaps below the rounding of coordinates and clock count as contacts; this matters for fast bodies
+                # gaps below the rounding of coordinates and clock count as contacts; such gaps matter for fast bodies
                 ends = np.stack((y, solver.y))
                 largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
                 speed = np.max([self._speeds(end) for end in ends], axis=0)

@@ -121,7 +121,10 @@ class ErrorScale:
         return cls(length, speed or length / float(trajectory.time[-1]), box)
 
     def apart(self, a: Trajectory, b: Trajectory) -> tuple[FloatArray, FloatArray]:
-        """Return the rms distance of two runs in position and velocity at each common sample, divided by the scale."""
+        """Return two rms distances between the runs at each common sample.
+
+        These are the distances of positions, relative to `length`, and of velocities, relative to `speed`.
+        """
         count = min(len(a), len(b))
         d = a.position[:count] - b.position[:count]
         if self.box is not None:
@@ -193,7 +196,7 @@ def _total(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(values * values))) if len(values) else np.nan
 
 
-ORDER_MATTERS = 1e-10  # relative difference of speeds, beyond rounding, from which the order of impacts matters
+ORDER_MATTERS = 1e-10  # smallest relative difference of speeds, beyond rounding, for which the order of impacts matters
 AGREEMENT = 1e-3  # distance, in sizes of the system, at which refinements disagree
 LOOSER = 10.0  # ratio of the tolerances of the second and the first exact solution
 GAIN = 1.1  # refinement ends when it extends the horizon by a smaller factor

@@ -36,8 +36,10 @@ from carom.terminal.printing import finite
 
 FRAMES_KEPT = 0.95  # smallest fraction of the scene's frames with which recorded motion is still smooth
 NEARER = 0.9  # if half the step leaves more than this fraction of the excess, no shorter step is tried
-DEAREST = 16.0  # cost, relative to the scene's cost, from which a setting's step is not halved
-HOPELESS = 2.0  # cost, relative to a rival's cost, from which a setting cannot win, even though costs are uncertain
+# a setting whose cost is at least this multiple of the scene's cost does not get its step halved
+DEAREST = 16.0
+# a setting whose cost is at least this multiple of a rival's cost cannot win, even though costs are uncertain
+HOPELESS = 2.0
 SHORTEST = 2.0**-6  # shortest step, relative to the scene's step
 BETWEEN = 1.5  # factor on the step that is tried if a factor of two is too large
 FOR_CANDIDATES = 0.25  # fraction of the budget that is kept for the last timings

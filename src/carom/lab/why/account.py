@@ -134,7 +134,7 @@ class Account:
         impacts: Records,
         contacts: Records,
     ) -> None:
-        """Go back through a step, or through its beginning up to a moment.
+        """Go back through a whole step, or through the part of it before a moment.
 
         ``rows`` are the impulses on this body up to the moment, in order, and ``flow``, (k, 1), are their shares of the
         body's velocity. ``shares`` has three numbers: the share that the body carries before the step, the share from

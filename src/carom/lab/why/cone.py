@@ -18,9 +18,9 @@ the impulse before the impact: these speeds cause the impulse. If several bodies
 come from further impulses on the other end. A plane at rest has no speed, so it returns the whole share: it turns a
 body round. A wall that moves on its own keeps its part: this part has reached its cause.
 
-All statements about shares follow from these flows. The net share that passes over a contact is the share that the
-contact gave the body. It is negative if the body gave a share to the other end, and got it back later. For each body of
-the question, the shares of its start, of the forces on it, and of its contacts therefore add up to 1.
+All statements about shares follow from these flows. For a body of a contact, the net share of the contact is the share
+that the contact gave this body. It is negative if the body gave a share to the other end, and got it back later. For
+each body of the question, the shares of its start, of the forces on it, and of its contacts therefore add up to 1.
 
 Membership is exact: going back in time, a body belongs to the cone from its first contact with a body of the cone.
 """

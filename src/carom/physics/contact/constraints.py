@@ -136,7 +136,7 @@ def contacts_of(first: int, end: int, system: ConstraintSystem) -> tuple[int, in
 
 @inline
 def body_count(system: ConstraintSystem) -> int:
-    """Return n; ends from n on are planes and walls."""
+    """Return n; ends numbered n and above are planes and walls."""
     return len(system.bodies) - len(system.surface)
 
 

@@ -71,8 +71,8 @@ class Islands:
     ) -> bool:
         """Write the load speed of each contact, `PER_STEP` |a|max dt of its island.
 
-        Two bodies that rest on each other and start a step at rest close no faster than the load speed at the end of
-        the step.
+        If two bodies that rest on each other are at rest when a step starts, their closing speed at its end is at most
+        the load speed.
 
         Parameters
         ----------

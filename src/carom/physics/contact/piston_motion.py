@@ -177,7 +177,7 @@ class PistonMotion(WallTranslation):
         self._write()
 
     def push(self, distances: FloatArray) -> None:
-        """Move the pistons along their normals, (k,) m, for the correction of overlaps."""
+        """Move the pistons along their normals by ``distances``, (k,) m, to correct overlaps."""
         self.state[:, 0] += distances
         self._write()
 

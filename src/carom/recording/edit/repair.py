@@ -260,7 +260,7 @@ def _padded(chunk: Chunk, n: int) -> Chunk:
 
 
 def _renumbered(chunk: Chunk, counts: IntArray, n: int) -> Chunk:
-    """Return rows of contacts with planes numbered from n on, instead of from the number of bodies in each row."""
+    """Return rows of contacts with planes numbered from n, instead of from the number of bodies in each row."""
     column = chunk.batch["bodies"]
     ends = column.flatten().to_numpy().astype(np.int64)
     own = np.repeat(counts, pc.list_value_length(column).to_numpy())

@@ -1,4 +1,4 @@
-"""Writes the bodies of a recording into a file; its suffix selects a format of `carom.registry`."""
+"""Writes the bodies of a recording into a file, whose suffix selects a format of `carom.registry`."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ SPEEDS = np.array(
     dtype=np.uint32,
 )
 
-MOST_ELLIPSOIDS = 2000  # largest number of wireframe bodies; they cost the viewer 16 to 25 times as much as points
+MOST_ELLIPSOIDS = 2000  # largest number of wireframe bodies; each costs the viewer 16 to 25 times as much as a point
 
 
 def shape(header: Header) -> str:

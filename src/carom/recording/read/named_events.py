@@ -29,7 +29,7 @@ class Pair:
 def named_pair(recording: Recording, text: str) -> Pair:
     """Read two bodies from numbers or names separated by a comma, or one body that touches a plane or a wall.
 
-    Raises RecordingError if these are not two bodies, and there is neither a plane nor a wall.
+    Raises RecordingError unless the text names two different bodies, or one body of a recording with a plane or a wall.
     """
     given = split_at_commas(text, recording.bodies.name)
     if len(given) == 1 and given[0] and names_of(recording).planes:

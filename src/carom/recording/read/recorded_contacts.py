@@ -30,7 +30,7 @@ _COLUMNS = (  # columns: name, type and unit
     ("step", pa.int64(), ""),
     ("time", pa.float64(), "s"),  # time of the impact, or end of the step
     ("i", pa.int64(), ""),  # i < j
-    ("j", pa.int64(), ""),  # the second body; numbers from n on are planes and walls
+    ("j", pa.int64(), ""),  # the second body; numbers of n and above are planes and walls
     *((name, pa.float64(), "m") for name in ("x", "y", "z")),  # the contact point
     *((name, pa.float64(), "") for name in ("nx", "ny", "nz")),  # the normal from i to j
     ("approach_speed", pa.float64(), "m/s"),

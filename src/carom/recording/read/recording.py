@@ -136,7 +136,7 @@ class Recording(RecordedData):
         Returns
         -------
         impacts
-            Columns step, time (s), i, j (ends; planes and walls from n on), x, y, z (m, the contact point), nx, ny, nz
+            Columns step, time (s), i, j (ends; planes and walls from n), x, y, z (m, the contact point), nx, ny, nz
             (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J),
             normal_force, tangential_force (null: an impact has no force), angular_impulse_i, angular_impulse_j (N m s,
             |r × J| about the centre of each body; null without spins, and for planes and walls). The metadata of the

@@ -1,7 +1,7 @@
 """The static data of a recording: bodies, names, properties, scene and units; and how bodies are stored.
 
-Numbered names are stored as a prefix and numbers. Masses, radii, moments of inertia and names of [[bodies]] tables are
-stored once, in the arrays of all bodies.
+Numbered names are stored as a prefix and numbers. Masses, radii, moments of inertia and names of the bodies of
+[[bodies]] tables are stored once, in the arrays of all bodies.
 """
 
 from __future__ import annotations

@@ -191,7 +191,7 @@ class Stream:
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
 
     def send_bodies(self, header: Header, clock: TimeScale, origin: FloatArray, lives: Lives) -> None:
-        """Send the static data of all bodies so far, if bodies come and go; they replace earlier static data."""
+        """If bodies come and go, send the static data of all bodies so far. These data replace earlier static data."""
         self.send_property("carom", {"bodies": header.bodies})
         if header.drawn_as:
             self.send_property("carom", {"drawn_as": header.drawn_as})

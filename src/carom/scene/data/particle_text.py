@@ -151,7 +151,7 @@ class _Dump(DataTable):
 
 
 def _units_called(called: str, name: str) -> UnitSystem:
-    """Return the units that LAMMPS calls ``name``; without a name, SI, which states no unit."""
+    """Return the units that LAMMPS calls ``name``; if it is empty, return `SI`, in which no unit is given."""
     if name and name not in UNITS:
         raise SceneError(
             f"{called}: its numbers are in the units {printable(name)} of LAMMPS, which carom does not know; it knows "

@@ -15,7 +15,7 @@ from carom.errors import SceneError, install_extra
 
 FORMATS = (".stl", ".obj", ".ply")
 LARGEST_FILE = 200_000_000  # largest number of bytes of a file
-MOST_TRIANGLES = 200_000  # largest number of triangles; their text still fits into a scene
+MOST_TRIANGLES = 200_000  # largest number of triangles whose text fits into a scene
 THINNEST = 1e-7  # height of a triangle, divided by its longest side; coordinates in single precision resolve no less
 _COUNTS = np.dtype("<i8")
 _CORNERS, _TRIANGLES = np.dtype("<f8"), np.dtype("<i4")

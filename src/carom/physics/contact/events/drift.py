@@ -91,7 +91,7 @@ class EventDrivenDrift(Mover):
         self._losses = NO_ENTRIES  # (k, 3) J, losses by supports of the bodies that were hit in the last drift
         self._absent: BoolArray | None = None  # (n,) absent bodies, which `trajectories.everyone` lacks
         self._is_open = not (shear or world.box.any())  # no axis is periodic
-        # log of the impacts in a call; it grows with the number of impacts in a step
+        # log of the impacts in a call; the log grows with the number of impacts in a step
         self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self.trajectories = Trajectories(

@@ -48,7 +48,7 @@ from carom.physics.jit.instructions import from_front
 from carom.physics.sheared_box import is_sheared, periods
 from carom.physics.vector import Vector, along, between, is_periodic, nearest_image, vector
 
-# Fraction of the rest speed above which a contact is resolved where it touches; it rebounds only above the rest speed.
+# Fraction of the rest speed above which a contact is resolved where it touches. Rebounds begin at the rest speed.
 # With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead of 1 mm.
 # Rejected: for held bodies, comparing the velocity with which they move in the drift with the rest speed. With a
 # fraction of 0.05, stack-dropped gains 5 % of its energy instead of 8 %, and overlaps are a third as deep, but
@@ -83,8 +83,8 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], group: Group | None) -> int:
     """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number.
 
-    ``group`` is workspace for held contacts. With None, the loop ends where a body is exhausted: without `hold_group`,
-    the kernel compiles in half the time, and few scenes hold contacts in a drift.
+    ``group`` is workspace for held contacts. With None, the loop ends where a body is exhausted. Without `hold_group`,
+    the kernel compiles in half the time. Few scenes hold contacts in a drift.
     """
     n, row = len(T.x), 0
     while row + MOST_CONTACTS <= len(log):

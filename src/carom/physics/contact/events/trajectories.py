@@ -67,7 +67,7 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     holds: int  # how often the body's contacts were held in this drift, or since its last release
     released: int  # number of the body's impacts at its last release; 0 before the first release
     releases: int  # how often the body was released in this drift
-    later_x: float  # m/s, velocity that the body regains at the end of the drift; meaningful if it is exhausted
+    later_x: float  # m/s, velocity that the body regains at the end of the drift; meaningful only for an exhausted body
     later_y: float
     later_z: float
     rattles: bool  # whether the body has had so many impacts in this drift that slow impacts no longer rebound

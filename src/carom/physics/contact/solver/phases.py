@@ -49,10 +49,10 @@ MAX_ITERATIONS = 100  # largest number of iterations in a round
 # as 8; without any round, overlaps are twice as deep.
 MAX_MESHED_ITERATIONS = 8
 MAX_FURTHER_ITERATIONS = 256  # largest number of Gauss–Seidel iterations after the last round
-# After this many iterations, a contact of a meshed island is unsolved only if it closes faster than its load speed,
-# above which a run would warn. With 8, a falling heap of 1000 is computed 1.2 times as fast, but takes longer to
-# settle. Rejected, since overlaps stay the same: continuing as long as 16 iterations halve the violation, which takes
-# 1.3 times as long; continuing in heaps that hardly move.
+# After this many iterations, a contact of a meshed island counts as unsolved only if it closes faster than its load
+# speed. At such speeds, a run would warn. With 8, a falling heap of 1000 is computed 1.2 times as fast, but takes
+# longer to settle. Rejected, since overlaps stay the same: continuing as long as 16 iterations halve the violation,
+# which takes 1.3 times as long; continuing in heaps that hardly move.
 MAX_MESHED_FURTHER = 16
 GROWN = 1e6  # growth of the largest impulse in a search; more growth shows that there is no solution
 MOST_LEFT = 0.5  # fraction of the previous violation; a round that leaves more than this is the last round

@@ -135,9 +135,9 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
 
 @inner
 def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: FloatArray) -> None:
-    """Move all rows but the first of positions and velocities, (n, 3) m and m/s, by a time h (s); μ is (n,) m³/s².
+    """Advance all rows of positions, (n, 3) m, and velocities, (n, 3) m/s, except the first by a time h (s).
 
-    ``lanes`` is a workspace of `WORKSPACE` numbers.
+    μ is (n,) m³/s². ``lanes`` is a workspace of `WORKSPACE` numbers.
     """
     n = len(x)
     direction = 1.0 if h >= 0.0 else -1.0

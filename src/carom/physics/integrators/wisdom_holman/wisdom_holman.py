@@ -59,7 +59,7 @@ class Conics(NamedTuple):
     """Orbits about the dominant body, (n,) each."""
 
     axis: FloatArray  # m, semi-major axis; infinite if unbound
-    size: FloatArray  # m, semi-major axis; its modulus if unbound
+    size: FloatArray  # m, modulus of the semi-major axis, which is negative for an unbound orbit
     pericentre: FloatArray  # m
     apocentre: FloatArray  # m
     period: FloatArray  # s, period of a circular motion with the angular speed at the pericentre
