@@ -39,8 +39,8 @@ def lengths(vectors: FloatArray | None) -> FloatArray:
 def direction(position: FloatArray, normal: FloatArray | None, *arrows: FloatArray) -> FloatArray | None:
     """Choose the direction to the eye of bodies at (b, 3) m: the usual direction, or the nearest that shows all arrows.
 
-    The direction is nearly perpendicular to the normal. ``arrows`` are (k, 3) each. Without a normal, the result is
-    None, and the camera chooses.
+    The direction is nearly perpendicular to the normal. Each of ``arrows`` is (k, 3). Without a normal, the result is
+    None, and the camera chooses the direction.
     """
     if len(position) == 2 and normal is None:
         apart = position[1] - position[0]

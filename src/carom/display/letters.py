@@ -65,7 +65,7 @@ def beyond(tips: FloatArray, ways: FloatArray, texts: Sequence[str], eye: View, 
 
 
 def apart(places: FloatArray, texts: Sequence[str], eye: View, area: Area) -> FloatArray:
-    """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier label."""
+    """Move labels at ``places``, (k, 3) m, into the view, and up or down off earlier labels that they would cover."""
     point = 2.0 / area.height  # half heights of the view
     onto = eye.on_screen(places)
     moved, drawn = onto.copy(), list[_Placed]()

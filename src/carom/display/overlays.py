@@ -199,7 +199,7 @@ def logarithm(values: FloatArray) -> FloatArray:
 
 
 def spheres(radius: FloatArray, colours: ColourArray | None, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
-    """Draw bodies as spheres of these radii, (n,) m."""
+    """Draw bodies as spheres; ``radius`` is (n,) m."""
     return rr.Ellipsoids3D.from_fields(
         half_sizes=np.repeat(radius.astype(np.float32), 3).reshape(-1, 3),
         colors=colours,

@@ -32,7 +32,7 @@ from carom.recording.read.recorded_contacts import SCHEMA, SOURCE, table_of
 from carom.recording.read.recording import Recording
 from carom.state.checkpoint import Checkpoint
 
-LEAD = 60  # number of frames before an interval from which the damping and the typical speed are measured
+LEAD = 60  # number of frames before an interval that serve to measure the damping and the typical speed
 # columns added to the columns of carom's contact table
 COEFFICIENTS = ("restitution", "restitution_error", "friction", "friction_error")
 MEASURED = "measured from the states of successive frames"

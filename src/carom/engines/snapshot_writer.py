@@ -38,7 +38,7 @@ WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
 MOST_WAITING = 256
 STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at the start
 BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies
-PATIENCE = 0.02  # s after which a smaller batch is sent
+PATIENCE = 0.02  # s, time after which a smaller batch is sent
 KIND = "not-recorded"  # kind of the events
 MOST_TEXTS = 20  # largest number of different texts; further texts are only counted
 

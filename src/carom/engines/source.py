@@ -52,7 +52,7 @@ class Model:
     engine: str  # name and version, such as ``mujoco 4.0.0``
     mass: Any  # (n,) kg; 0 for a test particle
     radius: Any  # (n,) m; 0 for a point mass, which nothing touches
-    inertia: Any = None  # (n,) kg m², by default as for solid spheres
+    inertia: Any = None  # (n,) kg m², moments of inertia; by default those of solid spheres
     names: Sequence[str] | None = None  # (n,) names of the bodies
     fixed: Any = None  # (n,) whether a body never moves; by default none
     judged: Any = None  # (n,)
@@ -81,7 +81,7 @@ class State:
     position: Any  # (n, 3) m
     velocity: Any  # (n, 3) m/s
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
-    angular_velocity: Any = None  # (n, 3) rad/s, in the world frame; None if the engine has none
+    angular_velocity: Any = None  # (n, 3) rad/s, spins in the world frame; None if the engine has none
     contacts: Any = None  # (m,) `CONTACT` with forces, or (m, 2) touching bodies, n + k for plane k; None: unknown
     # (n,) whole numbers that identify the bodies of this state, if bodies come and go; None: the bodies of the first
     # state
@@ -94,7 +94,7 @@ class State:
     # (n, 3) N, applied forces, drag and compensation of gravity in the step up to this state, without the uniform
     # field, contacts and `Model.damping`; given in all states, including the first, or in none
     force: Any = None
-    torque: Any = None  # (n, 3) N m, in the world frame
+    torque: Any = None  # (n, 3) N m, torques in the world frame
 
 
 class Source(Protocol):
@@ -385,7 +385,7 @@ class StateMemory:
             return False
         if self.block.size == 0:
             return True
-        # the comparison also fails if a number is NaN; it compares Python floats, since `LARGEST` exceeds float32
+        # the comparison also fails if a number is NaN; Python floats are compared, since `LARGEST` exceeds float32
         return float(_LEAST(self.block, None)) >= -LARGEST and float(_MOST(self.block, None)) <= LARGEST
 
 

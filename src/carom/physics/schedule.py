@@ -54,7 +54,7 @@ class Every:
 class At:
     """A schedule that lists steps."""
 
-    steps: tuple[int, ...]  # in ascending order
+    steps: tuple[int, ...]  # numbers of the steps, in ascending order
 
     def __call__(self, step: int, before: float, time: float) -> bool:
         """Return whether a step is in the list."""

@@ -29,7 +29,7 @@ MOST_BODIES = 100
 HILL_RADII_APART = 5.0
 # smallest distance of bodies far apart, in sums of their radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
 LEAST_DISTANCE = 8.0
-WIDER = 1.0 + 1e-9  # factor for a distance; it exceeds any rounding
+WIDER = 1.0 + 1e-9  # factor that enlarges a distance by more than any rounding
 # largest number of bodies that count as far apart, unless one dominates: in a contracting system, more bodies would
 # soon meet often
 MOST_APART = 32

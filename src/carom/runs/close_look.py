@@ -42,7 +42,8 @@ LASTS = 4  # steps after which a pressing contact carries a load; the force that
 LOOK_AFTER = LASTS + 1.0  # steps after an interval that are read for the loads of contacts
 RETURNS = 2.0  # steps; a bounce that would take longer (2 v/a) must not end at rest within a step
 SHARED = 5e-2  # fraction of the touching bodies' kinetic energy by which two runs may differ in how they share impulses
-TURNED = 0.01  # relative change (or rad), in a step, of a torque that resists rolling; its error is of first order
+# relative change (or rad), in a step, of a torque that resists rolling; the error of the torque is of first order
+TURNED = 0.01
 FAST = 10.0  # factor by which the speed of a supported body's impact must exceed its uncertainty
 SURFACE = 2.5  # m r²/I of a ball: by this factor, friction changes its surface speed more than its velocity
 

@@ -176,7 +176,7 @@ class Warmth:
     cache: str  # the folder of compiled kernels; empty without a cache
 
 
-QUIET = 2.0  # s without a compilation after which the rest of a scene is expected to compile nothing
+QUIET = 2.0  # s; after this time without a compilation, the rest of a scene is expected to compile nothing
 
 
 def warm_up(scenes: Iterable[Scene] = ()) -> Warmth:

@@ -29,7 +29,7 @@ class Enclosed(Protocol):
 class Side(NamedTuple):
     """A side of the face on which a pressure acts."""
 
-    length: float  # m, at the start
+    length: float  # m, length of the side at the start
     pistons: tuple[int, ...]  # numbers of the planes that shorten the side as they move along their normals
 
 

@@ -31,7 +31,7 @@ BAR = 24  # characters of a bar
 # s that a movie at 1280 x 720 takes on two cores without a graphics card: until the first picture, per picture, per
 # body
 _STARTING, _PICTURE, _PICTURE_OF_BODY = 8.0, 0.2, 0.001
-PATIENCE = 1.0  # s after which a line names the work
+PATIENCE = 1.0  # s, time after which a line names the work
 
 
 class Terminal(Console):

@@ -24,7 +24,7 @@ from carom.scene.units.dimension import LENGTH, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
 
 _SATURATED = 0.1  # difference, in sizes of the system, beyond which its growth saturates
-_POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, from which a rate is fitted
+_POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, to which a rate is fitted
 _ROUNDING = 16 * 2.0**-53  # relative rounding error that the few operations of a step cause in a coordinate
 _GRAZING = 1000.0  # ratio of mean free path to radius: a grazing impact multiplies a difference by this factor at once
 _SURE = 3.0  # standard errors by which a significant rate exceeds 0

@@ -68,7 +68,7 @@ class Statistic:
 
     values: Mapping[str, MeasuredValue] = field(default_factory=dict)
     histograms: Mapping[str, Histogram] = field(default_factory=dict)
-    rows: Sequence[Mapping[str, Any]] = ()  # rows of a table; their values are texts or `MeasuredValue`
+    rows: Sequence[Mapping[str, Any]] = ()  # rows of a table, whose values are texts or `MeasuredValue`
     note: str = ""  # a sentence about the limits of the values
     missing: str = ""  # a sentence with the reason why there are no values
 

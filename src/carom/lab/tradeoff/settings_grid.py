@@ -283,7 +283,7 @@ class SettingResult:
     steps: int = 0
     frames: int = 0  # frames in a recording of the run
     errors: Errors | None = None
-    spent: float = 0.0  # s of CPU time at which the run was stopped
+    spent: float = 0.0  # s, CPU time that the run had used when it was stopped
     followed: float = 0.0  # s, time of the run that measured the errors; 0 if unknown
     digest: str = ""  # digest of the setting's trajectory
     same_as: str = ""  # name of an earlier setting whose run has the same bits, and therefore the same costs

@@ -151,7 +151,7 @@ class SolveOrder:
 
     place: IntArray  # (m,) index of each contact in this order of pieces
     pairs: IntArray  # (m, 2) pairs in the order of pieces
-    pieces: IntArray  # (k, 2) first index and end of each piece's range; a piece has one colour
+    pieces: IntArray  # (k, 2) first index and end of each piece's range; all contacts of a piece have one colour
     edges: IntArray  # (s + 1,) first piece of each colour, then k
     independent: int  # number of leading colours whose contacts share no moving body
 

@@ -177,7 +177,7 @@ class WallTranslation:
         return np.inf
 
     def push(self, distances: FloatArray) -> None:
-        """Displace guided walls along their normals, (k,) m, for the correction of overlaps."""
+        """Displace guided walls along their normals by ``distances``, (k,) m, to correct overlaps."""
 
     def settle(self) -> float:
         """Note the velocities that contacts gave walls in the step; return the walls' work on the bodies in J."""

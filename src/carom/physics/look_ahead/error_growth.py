@@ -210,7 +210,7 @@ def _observed(apart: list[FloatArray], order: int) -> float:
 class Twins:
     """The divergence of two runs with almost equal initial states."""
 
-    apart: FloatArray  # (K,) largest distance so far, relative to the size
+    apart: FloatArray  # (K,) largest distance of the runs so far, relative to the size
     exponent: float  # 1/s
 
     @classmethod

@@ -42,7 +42,7 @@ SAMPLES = 64  # number of times at which runs are compared
 LATER = 1024  # number of times beyond the trial runs; between two of them, an error grows little
 # smallest number of samples within the budget; if there are fewer, the time that was reached is divided more finely
 ENOUGH_SAMPLES = 8
-FEWEST_SAMPLES = 4  # known samples from which an error is extrapolated to later times
+FEWEST_SAMPLES = 4  # smallest number of known samples for an extrapolation of an error to later times
 # smallest number of steps between samples for the coarsest trial run, whose steps end at samples; half as many with
 # smooth errors
 STEPS_PER_SAMPLE = 8

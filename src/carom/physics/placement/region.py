@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DEFAULT_PACKING = 0.1  # packing fraction of a group without a region
 LEAST_SIZE = 1.01  # smallest default region, in radii of the largest body, so that this body can be placed
-FARTHEST = 10.0  # default radius of a plummer region, in its scale; it contains 98.5 % of the mass
+FARTHEST = 10.0  # default radius of a plummer region, in its scale; the region contains 98.5 % of the mass
 ROUNDING = 1e-12  # rounding relative to the size of a region
 
 

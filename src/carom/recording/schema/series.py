@@ -217,7 +217,7 @@ def outlet_series(names: Iterable[str]) -> Iterator[Series]:
         yield Series(f"step/outlet_{k}_mass", "kg/s", name, colour, None, mass, f"mass that left by {name}", "release")
 
 
-# A table with two lines for each series: its name and style; its value, meaning and part of the model.
+# A table with two lines for each series: first name and style, then value, meaning and part of the model.
 # fmt: off
 SERIES = (
     Series("energy/translational", "J", "translational", BLUE, _ENERGY,

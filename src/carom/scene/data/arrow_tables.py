@@ -43,7 +43,7 @@ _SIGNS = {
 }
 _UNIT_KEYS = (b"unit", b"units")  # keys of units in the metadata of a field
 _PARQUET_END = 8  # bytes at the end of a file: the length of the footer, and a mark
-_FOOTER_HEAD = 32  # first bytes of a footer; they contain the number of its elements
+_FOOTER_HEAD = 32  # number of a footer's first bytes, which contain the number of its elements
 # head of a footer whose list has 15 or more elements
 _FOOTER = re.compile(rb"\x15[\x80-\xff]*[\x00-\x7f]\x19\xfc([\x80-\xff]*[\x00-\x7f])", re.S)
 _BLOCK = 1 << 20  # bytes of a file that are read at a time

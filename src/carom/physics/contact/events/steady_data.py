@@ -43,8 +43,8 @@ class SteadyBuffers(NamedTuple):
     spins: FloatArray  # (n, 3) rad/s, spins at the beginning of the step; empty where nothing spins
     held: RecordArray[ContactRecord]  # (m,) the contacts that are held, before positions change
     held_words: IntArray  # the words of ``held``
-    parent: IntArray  # (n + p,)
-    largest: FloatArray  # (n + p,)
+    parent: IntArray  # (n + p,) parents of the ends in trees of islands, see `islands`
+    largest: FloatArray  # (n + p,) m²/s⁴, |a|² of each end; at an island's root, the largest in the island
     flags: BoolArray  # (2,)
     counts: RecordArray[BlockCountsRecord]  # (1,)
     near: IntArray  # (n (n - 1) / 2, 2) pairs that may meet during the drift

@@ -46,7 +46,7 @@ from carom.scene.rest_speed import PER_STEP
 from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # standoff, in radii, of a body that is exhausted for the first time
-# limit on holds of an exhausted body in a drift; its standoff then exceeds every gap, and it no longer meets walls
+# largest number of holds of an exhausted body in a drift; then its standoff exceeds every gap, and it meets no walls
 MOST_HOLDS = 100
 MAX_SEARCH_RADIUS = 1e150  # m; finite when squared
 

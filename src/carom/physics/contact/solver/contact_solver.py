@@ -197,12 +197,12 @@ class ContactSolver:
 
     @property
     def impulses(self) -> FloatArray:
-        """(m, 4) N s, λ_n and λ_t."""
+        """Impulses λ_n and λ_t, (m, 4) N s."""
         return impulses_of(self._system.contacts)
 
     @property
     def overlaps(self) -> FloatArray:
-        """(m,) m; negative for a gap."""
+        """Overlaps, (m,) m; the overlap is negative for a gap."""
         return self._system.states["overlap"]
 
     @property

@@ -70,7 +70,7 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
 
 @inner
 def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
-    """Move row i of positions and velocities, (n, 3) m and m/s, by a time h (s) about a centre of G M = μ at 0."""
+    """Advance row i of positions, (n, 3) m, and velocities, (n, 3) m/s, by h (s) about a centre of G M = μ at 0."""
     direction = 1.0 if h >= 0.0 else -1.0  # backward in time is forward with the opposite velocity
     x0, x1, x2 = vector(x, i)
     v0, v1, v2 = vector(v, i)
