@@ -50,8 +50,8 @@ class LegendLine:
 class MovieClock:
     """The texts of the clock in the legend of a movie, each with the time from which it applies."""
 
-    times: FloatArray  # (k,) s
-    texts: Sequence[str]  # (k,)
+    times: FloatArray  # (k,) s, time from which each text applies
+    texts: Sequence[str]  # (k,) texts of the clock
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,7 @@ class Model:
     inertia: Any = None  # (n,) kg m², moments of inertia; by default those of solid spheres
     names: Sequence[str] | None = None  # (n,) names of the bodies
     fixed: Any = None  # (n,) whether a body never moves; by default none
-    judged: Any = None  # (n,)
+    judged: Any = None  # (n,) whether the audit checks the laws of a body; by default all
     gravity: Sequence[float] = (0.0, 0.0, 0.0)  # m/s², a uniform field
     constant: float = 0.0  # m³ kg⁻¹ s⁻², constant of the bodies' mutual gravity
     softening: float = 0.0  # m
@@ -126,7 +126,7 @@ class Setup:
     inertia: FloatArray  # (n,) kg m², positive
     names: list[str]
     fixed: BoolArray  # (n,)
-    judged: BoolArray  # (n,)
+    judged: BoolArray  # (n,) whether the audit checks the laws of each body
     gravity: FloatArray  # (3,) m/s²
     constant: float
     softening: float

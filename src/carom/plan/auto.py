@@ -46,8 +46,8 @@ PULL_FRACTION = 0.02  # step over the time scale of the largest acceleration; a 
 SMOOTHING = 0.2  # weight of the new step in the moving average, if contacts form and break
 
 # largest motion of a body in a step, divided by its radius (docs/trade.md)
-LATE_CFL = 0.5  # if impacts are resolved at the end of the step
-FREE_CFL = 1.0  # if times of impact are exact and no forces act, where shorter steps gain nothing
+LATE_CFL = 0.5  # largest motion if impacts are resolved at the end of the step
+FREE_CFL = 1.0  # largest motion if times of impact are exact and no forces act, where shorter steps gain nothing
 
 
 # largest number of bodies for gauss-radau15 if they orbit far apart without contacts; for 300 to 900 bodies, it takes

@@ -116,8 +116,8 @@ _values: Callable[[Extremes], tuple[Any, ...]] = attrgetter(*(field.name for fie
 class MomentumBaseline:
     """Reference values: the initial momenta, and the largest sums of magnitudes at the checks so far."""
 
-    linear: tuple[float, float, float]  # kg m/s
-    angular: tuple[float, float, float]  # kg m²/s
+    linear: tuple[float, float, float]  # kg m/s, initial momentum
+    angular: tuple[float, float, float]  # kg m²/s, initial angular momentum
     centre: tuple[float, float, float]  # m, position of the centre of mass
     linear_scale: float  # kg m/s
     angular_scale: float  # kg m²/s

@@ -285,7 +285,7 @@ class ImpactStore:
         return joined(self._pieces, CONTACT_ROW)
 
     def _leave_out(self) -> None:
-        """Keep the impacts with the largest normal impulses; among equal impulses, the first."""
+        """Keep the impacts with the largest normal impulses; of equal impulses, keep the first."""
         rows = joined(self._pieces, CONTACT_ROW)
         kept = np.sort(np.argsort(-rows["normal_impulse"], kind="stable")[:MOST_IMPACTS])
         self.left_out += len(rows) - len(kept)

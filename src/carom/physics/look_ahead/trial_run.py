@@ -50,7 +50,7 @@ ITERATIONS = 2.5  # iterations per step
 ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # cost of a step of Wisdom–Holman integration
 AT_ONCE = 0.05  # nominal s that a kernel takes between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
-NEVER = 2**62  # number of steps between two energy checks of a trial run: there are none
+NEVER = 2**62  # number of steps between two energy checks of a trial run, so large that no check occurs
 
 
 @dataclass

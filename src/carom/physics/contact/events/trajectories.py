@@ -145,8 +145,8 @@ class Neighbours(NamedTuple):
 class Trajectories(NamedTuple):
     """n bodies and p planes in a drift."""
 
-    body: RecordArray[TrajectoryRecord]  # (n,)
-    drift: RecordArray[DriftRecord]  # (1,)
+    body: RecordArray[TrajectoryRecord]  # (n,) paths of the bodies
+    drift: RecordArray[DriftRecord]  # (1,) state of the drift
     x: FloatArray  # (n, 3) m, position of each body at its time `now`
     v: FloatArray  # (n + p, 3) m/s, velocities along the straight paths
     a: FloatArray  # (n + p, 3) m/s², accelerations without drag

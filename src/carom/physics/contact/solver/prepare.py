@@ -168,7 +168,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                 is_open = gap > 0.0 and state.apart
                 fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
             contact.velocity_bias, state.biased, state.slides = bias, drift == 0.0 and bias < 0.0, False
-            # if nothing has pressed the bodies of an open contact, they meet in an impact, if at all
+            # if nothing has pressed the bodies of an open contact, they can meet only in an impact
             meets = is_open and not (system.pressed[i] or system.pressed[j])
             system.held[c] = not (meets or -vn > fastest)
             negligible = min(SMALL_OF_REST * system.load_speed[c], SMALL_OF_RADIUS * smaller_arm(contact) / dt)
