@@ -45,8 +45,8 @@ class Plane(NamedTuple):
 class Model:
     """The constants of a run.
 
-    The audit checks the laws of ``judged`` bodies, by default all bodies; these must be free spheres. Other bodies are
-    drawn as spheres, and bodies that touch them are not judged.
+    The audit checks the laws of ``judged`` bodies, by default all bodies. Judged bodies must be free spheres. Other
+    bodies are drawn as spheres, and bodies that touch them are not judged.
     """
 
     engine: str  # name and version, such as ``mujoco 4.0.0``

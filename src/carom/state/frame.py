@@ -111,7 +111,7 @@ class Frame:
 
     @property
     def checkpoint(self) -> Checkpoint:
-        """The checkpoint from which a run can continue; it shares the arrays of the frame."""
+        """The checkpoint from which a run can continue; the checkpoint shares the arrays of the frame."""
         return Checkpoint(
             step=self.step,
             time=self.time,

@@ -119,7 +119,7 @@ newton = NewtonSource  # name of this source in `carom.record`
 
 
 def _plane(place: SingleArray, number: int) -> Plane:
-    """Return a plane from its position and rotation; its normal is its own z axis."""
+    """Return a plane from its position and rotation; the normal is the z axis of the plane's own frame."""
     turn = place[None, 3:].astype(np.float64)
     normal = _turned(turn, np.array([[0.0, 0.0, 1.0]]))[0]
     x, y, z = (float(v) for v in normal)

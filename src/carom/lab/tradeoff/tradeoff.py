@@ -242,7 +242,7 @@ class Study:
         return True
 
     def _run_time(self, tell: Teller) -> float:
-        """Return the time (s) of the scene as written, which sets the budget; its kernels are already loaded."""
+        """Return the time (s) of the scene as written, which sets the budget; the kernels are already loaded."""
         written = self._written or SettingResult(AS_WRITTEN)
         if not written.costs:
             tell("as written: the time of a run")

@@ -69,7 +69,7 @@ def translation_of(motion: WallMotion | None) -> FloatArray:
 
 
 def _pieces_of(motion: WallMotion) -> FloatArray:
-    """Return the fields `_PIECE` of a wall whose motion has `times`, (k, 7); it is at rest before the first of them."""
+    """Return the fields `_PIECE` of a wall whose motion has `times`, (k, 7); the wall is at rest before `times[0]`."""
     times, velocities = np.array([0.0, *motion.times]), np.array([(0.0, 0.0, 0.0), *motion.velocities])
     steps = velocities[:-1] * np.diff(times)[:, None]
     displacements = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))

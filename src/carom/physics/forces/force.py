@@ -100,7 +100,7 @@ class Damping(OptionalPart):
 
 
 class PathWork(OptionalPart):
-    """The work of a force in the present step; its entry in the ledger has the sign of a loss: -W.
+    """The work W of a force in the present step; the ledger's entry has the sign of a loss: -W.
 
     ``accelerate`` writes the accelerations by the force, (n, 3) m/s², at positions, (n, 3) m, to its second argument.
     """

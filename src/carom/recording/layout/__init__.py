@@ -210,7 +210,7 @@ def graph_eye(header: Header, camera: CameraFit, area: Area, added: Additions) -
 
 
 def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
-    """Show the collision graph; its edges show impulses if these are recorded."""
+    """Show the collision graph, whose edges show impulses if these are recorded."""
     hidden: Overrides = {path: rrb.EntityBehavior(visible=False) for path in hidden_arrows(header, added)}
     only = added.touching if area.rendered else ()
     hides = is_crowded(header) and not only
@@ -236,7 +236,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions =
 
 
 def subdued(header: Header, theme: str) -> int:
-    """Return the colour of wires that are not the subject of a view; it is faintest in crowds, where wires cross."""
+    """Return the colour of wires that are not the subject of a view: faintest in crowds, where wires cross."""
     return (palette.FAINTEST if is_crowded(header) else palette.FADED)[theme]
 
 

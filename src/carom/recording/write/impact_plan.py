@@ -215,7 +215,7 @@ class ImpactPlan:
 
     @classmethod
     def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:
-        """Return the plan of a recording; it keeps everything if the scene or the caller requests it."""
+        """Return the plan of a recording, which keeps everything if the scene or the caller requests it."""
         everything = everything or header.record_impacts == "all"
         oriented, turned = header.has_orientation, header.has_torque
         return cls(everything=everything, oriented=oriented, turned=turned)

@@ -114,7 +114,7 @@ class Index(NamedTuple):
 
     @classmethod
     def within_step(cls, time: float) -> Index:
-        """Return an index of a single row within a step, at a time (s); it has no step."""
+        """Return an index of a single row at a time (s) within a step; the index has no step."""
         return cls(NO_STEPS, np.array([time]))
 
 

@@ -36,7 +36,7 @@ Raw = NDArray[Any]  # (n,) or (n, 3), with an axis of steps first if there are s
 
 
 class MotionLaw(NamedTuple):
-    """The law of motion of the simulation in a file; its numbers are in the units of the table."""
+    """The law of motion of the simulation in a file. All numbers are in the units of the table."""
 
     constant: float  # gravitational constant of the file; 0 without gravity
     softening: float

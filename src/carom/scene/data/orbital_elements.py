@@ -123,7 +123,7 @@ class OrbitTable(DataTable):
 
     @cached_property
     def _raw(self) -> dict[str, Raw]:
-        """The columns of all elements; they are read once, because each read parses a whole text file."""
+        """The columns of all elements. All are read at once, because each read parses a whole text file."""
         return self._table.read([column.name for column in self._columns.values()])
 
     def _unit_of_angles(self) -> str:

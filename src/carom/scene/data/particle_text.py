@@ -55,7 +55,7 @@ _HEAD = 10_000  # bytes at the beginning of a data file that contain its header
 _LINES = 20  # largest number of lines of a data file per atom, including bonds, angles and dihedrals
 _HEADER_LINES = 1000  # largest number of further lines: header, masses, coefficients
 _LONGEST = 1_000_000  # largest number of characters in a line
-_DIGITS = 20  # largest number of digits of a number of rows; numbers below 2⁶³ have at most 19
+_DIGITS = 20  # most digits in a count of rows; numbers below 2⁶³ have at most 19
 _WIDEST = 100  # largest number of values of a property in a row
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
 _PERIODIC = re.compile(r'\bpbc="?([TF01][TFrueals01 ]*)', re.IGNORECASE)
@@ -249,7 +249,7 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _sections(lines: Sequence[str]) -> dict[str, _Section]:
-    """Find the sections of a data file; its first line is a title."""
+    """Find the sections of a data file, whose first line is a title."""
     found, current = dict[str, _Section](), None
     for number, line in enumerate(lines[1:], start=2):
         title = _TITLE.fullmatch(line.strip())

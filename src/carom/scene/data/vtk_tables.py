@@ -38,7 +38,7 @@ _KINDS = {
 _DATASETS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
 _LONGEST = 10_000  # largest number of characters in a line
-_DIGITS = 12  # largest number of digits of a number of values; a file of `_LARGEST` bytes has fewer
+_DIGITS = 12  # most digits in a count of values; counts in a file of `_LARGEST` bytes have fewer
 _DIGITS_OF_WIDTH = 4
 _MOST_FIELDS = 10_000  # largest number of arrays of a file
 _APPENDED = re.compile(rb'<AppendedData\s+encoding="(raw|base64)"\s*>\s*_')

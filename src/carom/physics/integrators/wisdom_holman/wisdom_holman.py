@@ -66,7 +66,7 @@ class Conics(NamedTuple):
 
 
 def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: int) -> Conics:
-    """Return the present orbits about the dominant body, ``first``; its own axis is set to -1."""
+    """Return the present orbits about the dominant body, ``first``, whose own axis is set to -1."""
     x, y, z = (position - position[first]).T
     u, v, w = (velocity - velocity[first]).T
     mu = gm + gm[first]
