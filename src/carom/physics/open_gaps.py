@@ -152,7 +152,7 @@ def resolve(contacts: Any, totals: Totals, damped: DampedStep) -> bool:
 
 @_without_contacts
 def rotate(contacts: Any, orientation: FloatArray, spins: FloatArray, dt: float) -> None:
-    """Rotate the bodies by ``spins``, (n, 3) rad/s, over a step of dt s."""
+    """Rotate the bodies by ``spins``, (n, 3) rad/s, over a step of dt s; with contacts, by spins before the step."""
     for i in range(len(orientation)):
         rotate_one(i, orientation, spins, dt)
 
