@@ -38,7 +38,7 @@ SAMPLES = 200  # times at which trajectories are compared
 EARLIER = (3.0 - 5.0**0.5) / 2.0
 LATE = 0.9  # contacts after this fraction of the samples count as late in the run
 ROUNDINGS = 8  # roundings of a coordinate by which displacement and velocities of a body in contact may disagree
-MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # up to so many bodies, more samples cost nothing, and paths can be drawn
+MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # up to this many bodies, more samples cost nothing, and paths can be drawn
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ class Saved:
     is_pairs: bool = False  # whether a row names the two ends of a contact, in ascending order
     is_squared: bool = False  # whether steps square the numbers, so that they need a bound
     is_named: bool = False  # whether the field has energies by name, with a component for each energy
-    repeats: str = ""  # name of a field whose values are usually the same; if so, this field is stored without rows
+    repeats: str = ""  # name of a field that usually has equal values; if equal, this field is stored without rows
 
     @property
     def bytes(self) -> int:

@@ -26,7 +26,7 @@ from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
-# largest number of bodies that a thread sorts alone; of a larger range, it queues half for other threads
+# largest number of bodies that a thread sorts alone; half of a larger range is queued for other threads
 GRAIN = 2048
 MIN_BODIES_PER_TASK = 20_000  # bodies per copying task
 
