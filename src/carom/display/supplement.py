@@ -284,7 +284,7 @@ def _replayed(recording: Recording, bodies: Sequence[int], watch: Callable[[Step
             break
     if window.differs is not None or len(found["position"]) < len(steps):
         where = "ends earlier" if window.differs is None else f"differs in its bits from step {window.differs} on"
-        raise RecordingError(f"{recording.path}, run again, {where}; only positions (x, y, z) can be plotted")
+        raise RecordingError(f"the repeated run of {recording.path} {where}; only positions (x, y, z) can be plotted")
     stacked = {vector: np.stack(rows) for vector, rows in found.items() if rows}
     return lambda body, vector: (steps, times, stacked[vector][:, bodies.index(body)])
 

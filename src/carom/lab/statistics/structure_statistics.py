@@ -183,7 +183,7 @@ def measure_pair_correlation(interval: Interval) -> Statistic:
     spacing, widest = float((np.prod(size) / len(position)) ** (1 / 3)), 2 * float(radius.max())
     largest = min(max(RANGE * widest, SPACINGS * spacing), float(size.min()) / (4 if box is None else 2)) / widest
     if largest <= 1.0:
-        raise RecordingError("the bodies are too few, or too flat a layer, for a pair correlation in space")
+        raise RecordingError("there are too few bodies, or their layer is too flat, for a pair correlation in space")
     shells = max(1, round(SHELLS / largest))  # number of shells up to s = 1
     edges = np.arange(int(largest * shells) + 1) / shells
     counts, near = np.zeros((2, len(edges) - 1)), np.zeros((2, len(NEAR) - 1))

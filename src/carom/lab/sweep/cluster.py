@@ -124,7 +124,7 @@ def _ended(key: Any, future: Future[Any]) -> Ended:
         return Ended(key, future.result(timeout=_ANSWER))
     except KilledWorker as error:
         last = error.last_worker.address
-        return Ended(key, error=WorkerDiedError(f"the workers died, {last} last; is there enough memory?"))
+        return Ended(key, error=WorkerDiedError(f"the workers died; the last one was {last}; is there enough memory?"))
     except Exception as error:
         if future.status != "error":  # the task has ended, but the scheduler died before it delivered the result
             return Ended(key, error=TaskDroppedError(f"its result is lost: {error}"))

@@ -114,7 +114,7 @@ def impacts_until(recording: RecordedData, step: int) -> RecordedImpacts:
     before = 0 if first == 0 else count_at(recording, first) - int(np.count_nonzero(steps <= first))
     count = count_at(recording, step) - before
     if recorded > count:
-        raise DamageError(f"{recorded} impacts up to step {step}, of {count}")
+        raise DamageError(f"{recorded} impacts are recorded up to step {step}, more than the {count} that were counted")
     return RecordedImpacts(recorded, count - recorded)
 
 
