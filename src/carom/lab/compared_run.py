@@ -271,7 +271,8 @@ class _Watch(Watch):
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # overlaps relative to the smaller radius, late in the run
         self._touching = np.empty(0, dtype=np.int64)  # the contacts of the previous step
-        self._began = 0.0  # s, start of the previous step
+        self._touched: set[int] = set()  # pairs that touch at the start, which have no first contact
+        self._start = self._began = space.time  # s, start of the run, and of the previous step
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
@@ -314,7 +315,10 @@ class _Watch(Watch):
             fresh = ~np.isin(touching, self._touching, assume_unique=True)
             order = np.argsort(met[fresh], kind="stable")
             for pair, moment in zip(touching[fresh][order].tolist(), met[fresh][order].tolist(), strict=True):
-                self.met.setdefault(pair, moment)
+                if moment == time and self._began == self._start:  # no impact in the first step: it touched before
+                    self._touched.add(pair)
+                elif pair not in self._touched:
+                    self.met.setdefault(pair, moment)
             self._touching = touching
 
     @property

@@ -93,6 +93,16 @@ def test_a_trajectory_is_right_within_the_steps_of_impacts_too() -> None:
     assert np.abs(run.position - exact.position).max() <= 1e-13
 
 
+@pytest.mark.parametrize("dt", [0.01, 0.0025])
+def test_what_touches_at_the_start_has_no_first_contact_at_any_step(dt: float) -> None:
+    # the end of the first step would come earlier in a finer reference, an error of dt that no motion has
+    overrides = [f"time.fixed_dt={dt}", "time.duration=0.25"]
+    scene = Scene.load("billiards", overrides)
+    run = follow(Space(scene), sample_times(scene))
+    assert run.pair.tolist() == [[0, 1]], "the balls meet; both have touched the cloth from the start"
+    assert run.met[0] == pytest.approx(0.175254, abs=1e-6)
+
+
 def test_a_trajectory_is_right_within_the_step_of_an_impact_in_a_medium() -> None:
     """Equal balls, e = 1, head on in a wind: they exchange velocities, so each goes on as the other would have."""
     tau, wind = 0.7, 0.4
