@@ -21,8 +21,8 @@ Contacts that stick need no f': the contact solver finds the impulse that ends t
 Without these terms, the speed of a ball that rolls into an incline, or that slides after an impact, is wrong by up to
 ½ a dt, with the acceleration a along the incline or by friction.
 
-These rules hold for bodies whose contacts are all with fixed bodies, or with planes and walls at rest, f' for a single
-contact of that kind. The other bodies of a pile are pushed through both kicks: an impulse that ends earlier would have
+These rules hold for bodies whose contacts are all with fixed bodies or planes, in scenes without walls and moving
+planes, f' for a single contact of that kind. The other bodies of a pile are pushed through both kicks: an impulse that ends earlier would have
 to end for both bodies of a contact.
 """
 
