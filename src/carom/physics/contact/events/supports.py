@@ -22,8 +22,8 @@ Without these terms, the speed of a ball that rolls into an incline, or that sli
 ½ a dt, with the acceleration a along the incline or by friction.
 
 These rules hold for bodies whose contacts are all with fixed bodies or planes, in scenes without walls and moving
-planes, f' for a single contact of that kind. The other bodies of a pile are pushed through both kicks: an impulse that ends earlier would have
-to end for both bodies of a contact.
+planes, f' for a single contact of that kind. The other bodies of a pile are pushed through both kicks: an impulse that
+ends earlier would have to end for both bodies of a contact.
 """
 
 from __future__ import annotations
