@@ -41,8 +41,8 @@ def ended(*arguments: Any, **sections: Any) -> Space:
     return space
 
 
-def incline(angle: float, x: float = 0.5) -> dict[str, Any]:
-    return {"normal": [-math.sin(angle), 0.0, math.cos(angle)], "point": [x, 0.0, 0.0]}
+def incline(angle: float) -> dict[str, Any]:
+    return {"normal": [-math.sin(angle), 0.0, math.cos(angle)], "point": [0.5, 0.0, 0.0]}
 
 
 @pytest.mark.parametrize("degrees", [5.0, 20.0, 40.0, 65.0])

@@ -44,7 +44,7 @@ from carom.physics.contact.translating_walls import velocity_in_drift, walls_tra
 from carom.physics.jit.decorators import inner
 from carom.physics.rotation import rotate_one
 from carom.physics.sheared_box import add_work, is_sheared, nearest_in_drift
-from carom.physics.vector import add, between, vector
+from carom.physics.vector import add, between, square, vector
 
 
 @inner
@@ -55,30 +55,30 @@ def collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, T: Traject
     (`supports`).
     """
     one, other = is_supported(i, T), is_supported(j, T)
+    pushed, along_path, with_support = 0.0, 0.0, 0.0
+    if one or other:
+        nx, ny, nz, _, _ = contact_geometry(i, j, T)
+        vx, vy, vz = relative_velocity(i, j, T)
+        along_path = _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
+        add_support(i, 1.0, T)
+        add_support(j, 1.0, T)
+        wx, wy, wz = relative_velocity(i, j, T)
+        pushed = (wx - vx) * nx + (wy - vy) * ny + (wz - vz) * nz
+        with_support = _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
+        if not wx * nx + wy * ny + wz * nz < 0.0:  # friction has ended the approach, which goes on along straight paths
+            add_support(i, -1.0, T)
+            add_support(j, -1.0, T)
+            pushed, one, other = 0.0, False, False
+    _collide(i, j, log, row, pushed, T)
     if not (one or other):
-        _collide(i, j, log, row, 0.0, T)
         return
-    nx, ny, nz, _, _ = contact_geometry(i, j, T)
-    vx, vy, vz = relative_velocity(i, j, T)
-    along_path = _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
-    add_support(i, 1.0, T)
-    add_support(j, 1.0, T)
-    wx, wy, wz = relative_velocity(i, j, T)
-    if not wx * nx + wy * ny + wz * nz < 0.0:  # friction has ended the approach, but not the one along straight paths
-        add_support(i, -1.0, T)
-        add_support(j, -1.0, T)
-        _collide(i, j, log, row, 0.0, T)
-        return
-    with_support = _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
-    _collide(i, j, log, row, (wx - vx) * nx + (wy - vy) * ny + (wz - vz) * nz, T)
-    entry = log[row]
+    entry, drift = log[row], T.drift[0]
     with_support -= _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
-    Jx = entry.normal_impulse * nx + entry.friction_x
-    Jy = entry.normal_impulse * ny + entry.friction_y
-    Jz = entry.normal_impulse * nz + entry.friction_z
+    Jx = entry.normal_impulse * entry.nx + entry.friction_x
+    Jy = entry.normal_impulse * entry.ny + entry.friction_y
+    Jz = entry.normal_impulse * entry.nz + entry.friction_z
     pressed = leave_or_stay(i, -Jx, -Jy, -Jz, T) + leave_or_stay(j, Jx, Jy, Jz, T)
     along_path -= _kinetic_energy(one, i, T) + _kinetic_energy(other, j, T)
-    drift = T.drift[0]
     drift.restitution -= pressed
     drift.friction -= with_support - along_path - pressed
 
@@ -91,8 +91,7 @@ def _kinetic_energy(counts: bool, i: int, T: Trajectories) -> float:
     vx, vy, vz = velocity(i, T)
     energy = 0.5 * (vx * vx + vy * vy + vz * vz) / T.inverse_mass[i]
     if len(T.omega) > 0 and T.inverse_inertia[i] > 0.0:
-        wx, wy, wz = vector(T.omega, i)
-        energy += 0.5 * (wx * wx + wy * wy + wz * wz) / T.inverse_inertia[i]
+        energy += 0.5 * square(T.omega, i) / T.inverse_inertia[i]
     return float(energy)
 
 

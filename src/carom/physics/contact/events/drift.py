@@ -84,12 +84,10 @@ class EventDrivenDrift(Mover):
         self._fixed = ends.inverse_mass[:n] == 0.0
         self.pressing = solver.pressing  # (n + p, 3) m/s², accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
-        self._is_still = ends.inverse_mass == 0.0  # (n + p,) fixed bodies, and solids at rest, which may be supports
-        self._is_still[n:] &= ~planes.driven
         # Rejected for now: supports in scenes with walls or moving planes, whose surfaces are records. A piston of
         # 10³ kg that falls on a ball then presses it by 10⁻⁴ too much, and balls in steady-hopper rattle.
         planes_only = planes.surface.dtype.names is None
-        self._supports = contacts.lasts and shear is None and planes_only and bool(self._is_still.any())
+        self._supports = contacts.lasts and shear is None and planes_only and self.anchored
         self._group = empty_group()  # workspace of held contacts
         self._losses = NO_ENTRIES  # (k, 3) J, losses by supports of the bodies that were hit in the last drift
         self._absent: BoolArray | None = None  # (n,) absent bodies, which `trajectories.everyone` lacks
@@ -142,8 +140,9 @@ class EventDrivenDrift(Mover):
         self._begin(T, 1.0, 0.0, 0.0, False, pressed)
         self._straighten(ImpulseCache.empty(), None)
         if self._supports:
-            self._mark_supported(ImpulseCache.empty(), 1.0)
-            correct_impulses(nobody, nothing, ImpulseCache.empty().contacts, 0.0, T)
+            nothing_held = nobody, nothing, ImpulseCache.empty().contacts
+            mark_supported(*nothing_held, 1.0, T)
+            correct_impulses(*nothing_held, 1.0, T)
         if self._forces:
             self._write_load_speeds(nobody, 1.0, 1.0, 0.0)
         if self._is_open:
@@ -220,10 +219,13 @@ class EventDrivenDrift(Mover):
             if self._fill_queue(T):
                 supports = self._supports and held.kick > 0.0
                 if supports:
-                    self._mark_supported(held, strength)
+                    acted = held.pairs, held.place, held.contacts, strength / held.kick
+                    mark_supported(*acted, T)
                 impacts = self._resolve(pairs, T)
                 if supports:
-                    self._book_supports(held, strength)
+                    self._book_supports()
+                    if T.drift["hit"][0]:
+                        correct_impulses(*acted, T)
         if len(impacts):
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._finish)
         else:
@@ -271,19 +273,13 @@ class EventDrivenDrift(Mover):
         if unmoved is not None:
             self.trajectories.body["is_straight"][unmoved] = True
 
-    def _mark_supported(self, held: ImpulseCache, strength: float) -> None:
-        """Write the accelerations by contacts of the bodies that something fixed supports."""
-        mark_supported(held.pairs, held.place, held.contacts, held.kick, strength, self._is_still, self.trajectories)
-
-    def _book_supports(self, held: ImpulseCache, strength: float) -> None:
-        """Book what the supports of the bodies that were hit gave beyond their kicks, and correct their impulses."""
+    def _book_supports(self) -> None:
+        """Book what the supports of the bodies that were hit lost beyond their kicks."""
         contacts, drift = self._contacts, self.trajectories.drift
         losses = np.array([[drift["restitution"][0], drift["friction"][0], 0.0]])
         if losses.any():
             self._losses = losses
             contacts.ledger_apart = np.concatenate((contacts.ledger_apart, losses))
-        if drift["hit"][0]:
-            correct_impulses(held.pairs, held.place, held.contacts, strength / held.kick, self.trajectories)
 
     def losses(self) -> FloatArray:
         """Return what the supports of the bodies that were hit in the last drift lost beyond their kicks."""

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.arrays import BoolArray, IntArray, RecordArray
+from carom.arrays import IntArray, RecordArray
 from carom.physics.contact.events.trajectories import SupportRecord, Trajectories, elapsed, lag, slowing, velocity
 from carom.physics.contact.law import lasting_friction, material_index
 from carom.physics.contact.records import ContactRecord
@@ -42,18 +42,12 @@ from carom.physics.vector import add, vector
 
 @kernel
 def mark_supported(
-    pairs: IntArray,
-    place: IntArray,
-    contacts: RecordArray[ContactRecord],
-    kick: float,
-    strength: float,
-    is_still: BoolArray,
-    T: Trajectories,
+    pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], share: float, T: Trajectories
 ) -> None:
     """Mark the bodies whose held contacts are all with something fixed, and write p, f and α.
 
-    The impulses of ``contacts[place]`` acted in a kick of ``kick`` s. ``strength`` is the factor on accelerations along
-    a path in a medium, and ``is_still``, (n + p,), marks fixed bodies and solids at rest.
+    The impulses of ``contacts[place]`` times ``share`` (1/s) are forces: 1/h, in a medium times the factor on the
+    accelerations along its paths.
     """
     for c in range(len(place)):
         contact = contacts[place[c]]
@@ -61,8 +55,7 @@ def mark_supported(
             i, other = pairs[c, end], pairs[c, 1 - end]
             if i < len(T.body):
                 T.support[i].is_hit = False
-            is_held = contact.normal_impulse > 0.0 and i < len(T.body) and T.inverse_mass[i] > 0.0
-            if not (is_held and is_still[other]):
+            if not (contact.normal_impulse > 0.0 and T.inverse_mass[i] > 0.0 and T.inverse_mass[other] == 0.0):
                 continue
             body, support, sign = T.body[i], T.support[i], 2 * end - 1
             support.end = -1 if body.is_supported else other
@@ -72,7 +65,7 @@ def mark_supported(
                 support.press_x = support.press_y = support.press_z = 0.0
                 support.rub_x = support.rub_y = support.rub_z = 0.0
                 support.turn_x = support.turn_y = support.turn_z = 0.0
-            m, inertia = strength / kick * T.inverse_mass[i], strength / kick * T.inverse_inertia[i]
+            m, inertia = share * T.inverse_mass[i], share * T.inverse_inertia[i]
             support.press_x += sign * m * contact.normal_impulse * contact.nx
             support.press_y += sign * m * contact.normal_impulse * contact.ny
             support.press_z += sign * m * contact.normal_impulse * contact.nz
@@ -85,21 +78,16 @@ def mark_supported(
             support.turn_y += inertia * (support.arm * ty + sign * ly)
             support.turn_z += inertia * (support.arm * tz + sign * lz)
     for c in range(len(place)):
-        if contacts[place[c]].normal_impulse > 0.0:
-            for end in range(2):
-                i, other = pairs[c, end], pairs[c, 1 - end]
-                if i < len(T.body) and not is_still[other]:
-                    T.body[i].is_supported = False
+        i, j = pairs[c, 0], pairs[c, 1]
+        if contacts[place[c]].normal_impulse > 0.0 and T.inverse_mass[i] > 0.0 and T.inverse_mass[j] > 0.0:
+            T.body[i].is_supported = T.body[j].is_supported = False
 
 
 @kernel
 def correct_impulses(
     pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], share: float, T: Trajectories
 ) -> None:
-    """Change the impulses of the supports of bodies that were hit to what they have given.
-
-    ``share`` (1/s) times the time since the kick is the fraction of the impulse that is added.
-    """
+    """Change the impulses of the supports of bodies that were hit to what they have given; ``share`` is as above."""
     for c in range(len(place)):
         for end in range(2):
             i, contact = pairs[c, end], contacts[place[c]]
@@ -151,7 +139,6 @@ def leave_or_stay(i: int, jx: float, jy: float, jz: float, T: Trajectories) -> f
     stopping = lx * px + ly * py + lz * pz
     if stopping > 0.0:
         support.rise += m * (jx * lx + jy * ly + jz * lz) / stopping
-    rub = support.rub_x, support.rub_y, support.rub_z
     if support.is_hit:
         _add_slide(support, s)
     else:
@@ -167,9 +154,9 @@ def leave_or_stay(i: int, jx: float, jy: float, jz: float, T: Trajectories) -> f
         return float(-s * (jx * px + jy * py + jz * pz))
     T.body[i].is_supported, support.lifted = False, s
     vx, vy, vz = velocity(i, T)
-    vx -= m * jx + 0.5 * s * (px + rub[0])
-    vy -= m * jy + 0.5 * s * (py + rub[1])
-    vz -= m * jz + 0.5 * s * (pz + rub[2])
+    vx -= m * jx + 0.5 * s * (px + support.rub_x)
+    vy -= m * jy + 0.5 * s * (py + support.rub_y)
+    vz -= m * jz + 0.5 * s * (pz + support.rub_z)
     gained = s * (px * vx + py * vy + pz * vz) / m
     if drift.bends:
         below, (ax, ay, az) = lag(T), vector(T.a, i)
