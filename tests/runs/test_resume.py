@@ -173,7 +173,8 @@ def test_a_continued_recording_says_so_and_keeps_where_it_came_from(half_second:
     ("name", "every", "duration", "size"),
     [
         ("cloud-collapse", 2.0, 8000.0, 3_000_000),  # to the first hundred contacts
-        pytest.param("steady-hopper", 0.01, 1.0, 1_200_000, marks=pytest.mark.nightly),  # while balls leave and enter
+        # while balls leave and enter, in the second batch of messages
+        pytest.param("steady-hopper", 0.01, 3.0, 4_000_000, marks=pytest.mark.nightly),
     ],
 )
 def test_a_killed_run_goes_on_from_its_last_checkpoint(
