@@ -64,6 +64,30 @@ def test_a_rolling_ball_that_meets_an_incline_keeps_its_angular_momentum_about_t
     assert (space.state.position[0] - [meets, 0.0, R]) @ along == pytest.approx(way, abs=0.5 * G * dt**2)
 
 
+@pytest.mark.parametrize("degrees", [20.0, 65.0])
+@pytest.mark.parametrize("time", STEPS)
+def test_a_ball_that_rolls_into_a_cone_keeps_its_angular_momentum_about_the_contact(
+    degrees: float, time: dict[str, float]
+) -> None:
+    angle, height = math.radians(degrees), 0.4
+    cone = {"radius": 0.5, "end_radius": 0.5 + height / math.tan(angle), "height": height, "point": [0.0, 0.0, 0.0]}
+    meets = 0.5 - R * math.tan(0.5 * angle)  # m, and s
+    space = ended(meets + 0.02, time, GRIP, plane=[{}], wall=[{"cone": cone}], body=[rolling()])
+    after = V * (2.0 + 5.0 * math.cos(angle)) / 7.0 - 5.0 / 7.0 * G * math.sin(angle) * 0.02
+    along = np.array([math.cos(angle), 0.0, math.sin(angle)])
+    assert space.state.velocity[0] @ along == pytest.approx(after, rel=ROUNDED)
+    assert space.state.angular_velocity[0, 1] * R == pytest.approx(after, rel=ROUNDED)
+
+
+def test_a_piston_overhead_does_not_change_an_impact_of_balls_on_the_floor() -> None:
+    smooth, rests = {"restitution": 1.0, "static_friction": 0.0}, rolling(0.5, velocity=[0.0, 0.0, 0.0])
+    lid = {"point": [0.0, 0.0, 3.0], "normal": [0.0, 0.0, -1.0], "piston": {"mass": 1.0, "force": 1.0}}
+    struck = ended(0.4, {"fixed_dt": 3e-3}, smooth, plane=[*cloth(0.3), lid], body=[rolling(), rests])
+    alone = ended(0.4, {"fixed_dt": 3e-3}, smooth, plane=cloth(0.3), body=[rolling(), rests])
+    assert struck.state.velocity == pytest.approx(alone.state.velocity, abs=ROUNDED)
+    assert struck.state.angular_velocity == pytest.approx(alone.state.angular_velocity, abs=ROUNDED)
+
+
 @pytest.mark.parametrize("restitution", [0.3, 1.0])
 @pytest.mark.parametrize("time", STEPS)
 def test_a_rolling_ball_climbs_a_wall_as_high_as_friction_throws_it(time: dict[str, float], restitution: float) -> None:

@@ -84,10 +84,7 @@ class EventDrivenDrift(Mover):
         self._fixed = ends.inverse_mass[:n] == 0.0
         self.pressing = solver.pressing  # (n + p, 3) m/s², accelerations that press contacts together
         self.field, self.bending = world.field, world.bending
-        # Rejected for now: supports in scenes with walls or moving planes, whose surfaces are records. A piston of
-        # 10³ kg that falls on a ball then presses it by 10⁻⁴ too much, and balls in steady-hopper rattle.
-        planes_only = planes.surface.dtype.names is None
-        self._supports = contacts.lasts and shear is None and planes_only and self.anchored
+        self._supports = contacts.lasts and shear is None and self.anchored
         self._group = empty_group()  # workspace of held contacts
         self._losses = NO_ENTRIES  # (k, 3) J, losses by supports of the bodies that were hit in the last drift
         self._absent: BoolArray | None = None  # (n,) absent bodies, which `trajectories.everyone` lacks

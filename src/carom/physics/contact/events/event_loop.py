@@ -32,6 +32,7 @@ from carom.physics.contact.events.trajectories import (
     leaves_search_radius,
     rest_speed,
     slowing,
+    straighten_path,
 )
 from carom.physics.contact.events.wall_impacts import predict_with_walls
 from carom.physics.contact.geometry import normal_and_distance
@@ -150,7 +151,8 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     most = MAX_IN_COLLAPSE if collapses else (MAX_IMPACTS if lossy else MAX_ELASTIC)
     body.rattles = body.rattles or (lossy and body.impacts >= MANY_IMPACTS)
     if body.impacts - body.released >= most and not body.exhausted:
-        body.exhausted = body.is_straight = True  # `hold_group` requires straight paths
+        straighten_path(i, T)
+        body.exhausted = True
         body.later_x = body.later_y = body.later_z = 0.0
         drift.exhausted += 0 if collapses else 1
     if not body.strays and leaves_search_radius(i, T):

@@ -46,6 +46,7 @@ from carom.physics.contact.events.trajectories import (
     place_at_wall,
     release,
     slowing,
+    straighten_path,
     touches_in_drift,
     velocity,
     velocity_of_partner,
@@ -288,7 +289,8 @@ def _rebound(k: int, waits: bool, group: Group, T: Trajectories) -> None:
         return
     body = T.body[group.body[k]]
     if not body.exhausted:
-        body.exhausted = body.is_straight = True
+        straighten_path(group.body[k], T)
+        body.exhausted = True
         body.later_x = body.later_y = body.later_z = 0.0
     body.releases = MOST_RELEASES
     body.later_x, body.later_y, body.later_z = body.later_x + x, body.later_y + y, body.later_z + z

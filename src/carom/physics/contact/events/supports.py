@@ -21,9 +21,9 @@ Contacts that stick need no f': the contact solver finds the impulse that ends t
 Without these terms, the speed of a ball that rolls into an incline, or that slides after an impact, is wrong by up to
 ½ a dt, with the acceleration a along the incline or by friction.
 
-These rules hold for bodies whose contacts are all with fixed bodies or planes, in scenes without walls and moving
-planes, f' for a single contact of that kind. The other bodies of a pile are pushed through both kicks: an impulse that
-ends earlier would have to end for both bodies of a contact.
+These rules hold for bodies whose contacts are all with fixed bodies, or with planes and walls at rest, f' for a single
+contact of that kind. Moving walls would do another work. The other bodies of a pile are pushed through both kicks: an
+impulse that ends earlier would have to end for both bodies of a contact.
 """
 
 from __future__ import annotations
@@ -31,8 +31,16 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import IntArray, RecordArray
-from carom.physics.contact.events.trajectories import SupportRecord, Trajectories, elapsed, lag, slowing, velocity
+from carom.physics.contact.events.trajectories import (
+    SupportRecord,
+    Trajectories,
+    elapsed,
+    shift_to_parabola,
+    slowing,
+    velocity,
+)
 from carom.physics.contact.law import lasting_friction, material_index
+from carom.physics.contact.moving_walls import stands_still
 from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.rolling import angular_impulse, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity, torque_of
@@ -53,9 +61,10 @@ def mark_supported(
         contact = contacts[place[c]]
         for end in range(2):
             i, other = pairs[c, end], pairs[c, 1 - end]
-            if i < len(T.body):
-                T.support[i].is_hit = False
-            if not (contact.normal_impulse > 0.0 and T.inverse_mass[i] > 0.0 and T.inverse_mass[other] == 0.0):
+            if i >= len(T.body) or T.inverse_mass[i] == 0.0:
+                continue
+            T.support[i].is_hit = False
+            if not (contact.normal_impulse > 0.0 and _stands_still(other, T)):
                 continue
             body, support, sign = T.body[i], T.support[i], 2 * end - 1
             support.end = -1 if body.is_supported else other
@@ -78,9 +87,16 @@ def mark_supported(
             support.turn_y += inertia * (support.arm * ty + sign * ly)
             support.turn_z += inertia * (support.arm * tz + sign * lz)
     for c in range(len(place)):
-        i, j = pairs[c, 0], pairs[c, 1]
-        if contacts[place[c]].normal_impulse > 0.0 and T.inverse_mass[i] > 0.0 and T.inverse_mass[j] > 0.0:
-            T.body[i].is_supported = T.body[j].is_supported = False
+        for end in range(2):
+            i, other = pairs[c, end], pairs[c, 1 - end]
+            if contacts[place[c]].normal_impulse > 0.0 and i < len(T.body) and not _stands_still(other, T):
+                T.body[i].is_supported = False
+
+
+@inner
+def _stands_still(i: int, T: Trajectories) -> bool:
+    """Return whether an end of a contact is fixed."""
+    return bool(T.inverse_mass[i] == 0.0 and (i < len(T.x) or stands_still(T.surface, i - len(T.x))))
 
 
 @kernel
@@ -152,17 +168,15 @@ def leave_or_stay(i: int, jx: float, jy: float, jz: float, T: Trajectories) -> f
             _slide_on(i, s, T)
         add(T.v, i, -s / slowing(T), px, py, pz)
         return float(-s * (jx * px + jy * py + jz * pz))
-    T.body[i].is_supported, support.lifted = False, s
+    T.body[i].is_supported, T.body[i].is_lifted, support.lifted = False, True, s
     vx, vy, vz = velocity(i, T)
     vx -= m * jx + 0.5 * s * (px + support.rub_x)
     vy -= m * jy + 0.5 * s * (py + support.rub_y)
     vz -= m * jz + 0.5 * s * (pz + support.rub_z)
     gained = s * (px * vx + py * vy + pz * vz) / m
     if drift.bends:
-        below, (ax, ay, az) = lag(T), vector(T.a, i)
         T.body[i].is_straight = False
-        add(T.x, i, below, drift.field_x, drift.field_y, drift.field_z)
-        drift.restitution += below * (ax * drift.field_x + ay * drift.field_y + az * drift.field_z) / m
+        shift_to_parabola(i, 1.0, T)
     return float(gained)
 
 

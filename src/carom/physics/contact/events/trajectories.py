@@ -76,6 +76,7 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     is_free: bool  # whether the body has touched nothing since the last step, so that it bounces at any speed
     exhausted: bool  # whether the body has had as many impacts as a drift allows
     is_supported: bool  # whether contacts hold the body, and all of them are with something fixed; see `supports`
+    is_lifted: bool  # whether an impact in this drift has lifted the body off its support
 
 
 TRAJECTORY = dtype_of(TrajectoryRecord)
@@ -127,7 +128,7 @@ class DriftRecord(Protocol):
     strays: int  # number of bodies that left their search radius
     exhausted: int  # number of bodies that had as many impacts as a drift allows
     hit: int  # number of supported bodies that were hit
-    restitution: float  # J, losses by the supports of bodies that were hit, beyond those in the kicks; see `supports`
+    restitution: float  # J, losses beyond those of kicks and impacts, by supports of bodies that were hit (`supports`)
     friction: float
 
 
@@ -216,7 +217,7 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
         body.start_x, body.start_y, body.start_z = vector(T.x, i)
         body.impact_time, body.impacts, body.queue_place = np.inf, 0, -1
         body.is_straight, body.is_free = not bends or T.inverse_mass[i] == 0.0, not pressed[i]
-        body.is_supported = False
+        body.is_supported = body.is_lifted = False
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
         arrive(i, T)
 
@@ -374,6 +375,33 @@ def centre(i: int, T: Trajectories) -> Vector:
         return x, y, z
     drift, behind = T.drift[0], lag(T)
     return x - behind * drift.field_x, y - behind * drift.field_y, z - behind * drift.field_z
+
+
+@inner
+def shift_to_parabola(i: int, sign: float, T: Trajectories) -> None:
+    """Let a body at its present place continue on a parabola in place of a straight line; with -1, the reverse.
+
+    The straight line is displaced, and with it the end of the path. What the body loses there in the field is booked
+    as a loss by restitution.
+    """
+    drift, (ax, ay, az) = T.drift[0], vector(T.a, i)
+    below = sign * lag(T)
+    add(T.x, i, below, drift.field_x, drift.field_y, drift.field_z)
+    drift.restitution += below * (ax * drift.field_x + ay * drift.field_y + az * drift.field_z) / T.inverse_mass[i]
+
+
+@inner
+def straighten_path(i: int, T: Trajectories) -> None:
+    """Make the rest of a body's path straight, as `hold_group` requires.
+
+    Only the path of a body that an impact has lifted off its support is displaced, back to where it was. Rejected: the
+    paths of all bodies. A column of balls then gains a height of up to g dt²/8 whenever it is held, and needs three
+    times as many impacts to come to rest.
+    """
+    body = T.body[i]
+    if body.is_lifted and not body.is_straight:
+        shift_to_parabola(i, -1.0, T)
+    body.is_straight = True
 
 
 @inner
