@@ -183,3 +183,27 @@ def test_balls_that_meet_on_a_table_err_by_the_square_of_the_step() -> None:
     usual, finer = np.median(errors, axis=0)
     assert usual < 1e-6  # m; 1.7e-4 if impacts ignore what supports give. Few scenes are chaotic within 0.5 s
     assert finer < usual / 8**2 * 4  # 4: impacts fall anywhere within their steps
+
+
+@pytest.mark.parametrize("dt", [4e-3, 1e-3])
+@pytest.mark.parametrize("wind", [(0.7, -0.4, 0.0), (0.0, 0.0, 0.3)])
+def test_a_floor_at_a_constant_velocity_is_a_floor_at_rest_in_its_own_frame(
+    wind: tuple[float, float, float], dt: float
+) -> None:
+    """A belt and a lift: the same impacts and the same losses; only the work of the floor differs."""
+
+    def after(drift: np.ndarray[Any, Any]) -> tuple[Space, list[float]]:
+        slides = rolling(angular_velocity=[0.0, 0.0, 0.0], velocity=(np.array([V, 0.0, 0.0]) + drift).tolist())
+        rests = rolling(0.35, position=[0.35, 0.06, R], velocity=drift.tolist(), angular_velocity=[0.0, 0.0, 5.0])
+        floor = cloth(0.3)[0] | {"motion": {"velocity": drift.tolist()}}
+        contact = {"restitution": 0.5, "static_friction": 0.3}
+        space = ended(0.4, {"fixed_dt": dt}, contact, plane=[floor], body=[slides, rests])
+        return space, [space.ledger.restitution, space.ledger.friction]
+
+    (still, losses), drift = after(np.zeros(3)), np.array(wind)
+    moving, further = after(drift)
+    assert moving.state.velocity - drift == pytest.approx(still.state.velocity, abs=ROUNDED)
+    assert moving.state.position - 0.4 * drift == pytest.approx(still.state.position, abs=ROUNDED)
+    assert moving.state.angular_velocity == pytest.approx(still.state.angular_velocity, abs=10.0 * ROUNDED)
+    assert further == pytest.approx(losses, rel=10.0 * ROUNDED)
+    assert losses[0] > 0.1 and losses[1] > 0.1

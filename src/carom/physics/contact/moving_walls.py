@@ -23,12 +23,7 @@ from typing import Any
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.records import ImpactRecord, ImpulseRecord, SlidingWallContactRecord
 from carom.physics.contact.rolling import angular_impulse
-from carom.physics.contact.translating_walls import (
-    displacement_in_drift,
-    largest_acceleration,
-    shift_of,
-    velocity_in_drift,
-)
+from carom.physics.contact.translating_walls import displacement_in_drift, shift_of
 from carom.physics.jit.decorators import chosen_by_type, inline, kernel, with_field
 from carom.physics.vector import Vector
 
@@ -106,19 +101,6 @@ def _slip_on_moving(surface: FloatArray, solid: int, time: float, point: Vector,
 def slip_at_wall(surface: FloatArray, solid: int, time: float, point: Vector, slip: Vector) -> Vector:
     """Return the slip u (m/s) at a point (m) of a wall and a time (s) in the drift, given the slip without rotation."""
     return slip
-
-
-def _stands(surface: Any, solid: int) -> bool:
-    wall, fastest = surface[solid], largest_acceleration(surface, solid)
-    vx, vy, vz = velocity_in_drift(surface, solid, 0.0)
-    wx, wy, wz = wall.motion_spin_x, wall.motion_spin_y, wall.motion_spin_z
-    return fastest == 0.0 and vx == 0.0 and vy == 0.0 and vz == 0.0 and wx == 0.0 and wy == 0.0 and wz == 0.0
-
-
-@with_field(MOTION[0], _stands)
-def stands_still(surface: FloatArray, solid: int) -> bool:
-    """Return whether a wall does not move in a drift."""
-    return True
 
 
 @inline

@@ -46,6 +46,7 @@ class MovingWalls(OptionalPart):
             self.pressing_energy = float((pull / yields[yields > 0.0]).sum()) * smallest
         self._velocity = NO_VELOCITIES  # (p, 3) m/s, velocities of translating solids for the computation of their work
         self._work = 0.0  # J, work of moving walls on bodies in the step
+        self._held = 0.0  # J, the part of it by the contacts of the first kick
         self.entries = (ENTRY,) if solids.moves else ()
 
     def forget(self) -> None:
@@ -90,7 +91,8 @@ class MovingWalls(OptionalPart):
 
     def held(self, step: PresentStep) -> None:
         """Add the work of the first kick."""
-        self._add(self._contacts.solver.contacts)
+        self._held = self._work_of(self._contacts.solver.contacts)
+        self._work += self._held
 
     def depart(self, step: PresentStep) -> None:
         """Let the velocities of walls depend on the time in the drift."""
@@ -98,7 +100,10 @@ class MovingWalls(OptionalPart):
             self._translation.begin_drift()
 
     def struck(self, step: PresentStep) -> None:
-        """Add the work in impacts during the drift."""
+        """Add the work in impacts during the drift, which may have changed the impulses of the first kick."""
+        if self._contacts.is_at_rest and self.entries:
+            held = self._work_of(self._contacts.solver.contacts)
+            self._work, self._held = self._work + held - self._held, held
         log, surface = self._contacts.impacts.log, self._solids.surface
         if self._solids.rotates:
             self._work += work_of_impacts(log, surface, self._count)
@@ -130,8 +135,8 @@ class MovingWalls(OptionalPart):
 
         Walls then have no acceleration, so that position corrections book only the work of the bodies' forces.
         """
-        self._add(self._contacts.solver.recorded)
-        self._add(self._contacts.solver.contacts)
+        self._work += self._work_of(self._contacts.solver.recorded)
+        self._work += self._work_of(self._contacts.solver.contacts)
         if self._translation:
             self._translation.rest()
 
@@ -140,11 +145,12 @@ class MovingWalls(OptionalPart):
         if self._translation:
             self._work += self._translation.settle()
 
-    def _add(self, impulses: RecordArray[Any]) -> None:
-        """Add the work that ``impulses``, (m,), do at the present contacts."""
-        solver = self._contacts.solver
+    def _work_of(self, impulses: RecordArray[Any]) -> float:
+        """Return the work (J) that ``impulses``, (m,), do at the present contacts."""
+        solver, work = self._contacts.solver, 0.0
         touching = solver.system.pairs, cast(RecordArray[Any], solver.contacts), impulses
         if self._solids.rotates:
-            self._work += work_of_contacts(*touching, self._solids.surface, self._count)
+            work += work_of_contacts(*touching, self._solids.surface, self._count)
         if self._solids.translates:
-            self._work += work_at_velocities(*touching, self._velocity, self._count)
+            work += work_at_velocities(*touching, self._velocity, self._count)
+        return work

@@ -220,9 +220,9 @@ class EventDrivenDrift(Mover):
                     mark_supported(*acted, T)
                 impacts = self._resolve(pairs, T)
                 if supports:
-                    self._book_supports()
                     if T.drift["hit"][0]:
                         correct_impulses(*acted, T)
+                    self._book_supports()
         if len(impacts):
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._finish)
         else:

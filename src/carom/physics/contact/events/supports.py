@@ -21,9 +21,10 @@ Contacts that stick need no f': the contact solver finds the impulse that ends t
 Without these terms, the speed of a ball that rolls into an incline, or that slides after an impact, is wrong by up to
 ½ a dt, with the acceleration a along the incline or by friction.
 
-These rules hold for bodies whose contacts are all with fixed bodies, or with planes and walls at rest, f' for a single
-contact of that kind. Moving walls would do another work. The other bodies of a pile are pushed through both kicks: an
-impulse that ends earlier would have to end for both bodies of a contact.
+These rules hold for bodies whose contacts are all with fixed bodies, planes or walls, f' for a single contact of that
+kind. A wall that moves does the work of the corrected impulses (`moving_walls`), which is a loss in addition. The other
+bodies of a pile are pushed through both kicks: an impulse that ends earlier would have to end for both bodies of a
+contact.
 """
 
 from __future__ import annotations
@@ -34,18 +35,21 @@ from carom.arrays import IntArray, RecordArray
 from carom.physics.contact.events.trajectories import (
     SupportRecord,
     Trajectories,
+    centre,
     elapsed,
+    relative_velocity,
     shift_to_parabola,
     slowing,
     velocity,
 )
 from carom.physics.contact.law import lasting_friction, material_index
-from carom.physics.contact.moving_walls import stands_still
+from carom.physics.contact.moving_walls import slip_at_wall, slope_on_wall
 from carom.physics.contact.records import ContactRecord
 from carom.physics.contact.rolling import angular_impulse, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity, torque_of
+from carom.physics.contact.translating_walls import velocity_in_drift
 from carom.physics.jit.decorators import inner, kernel
-from carom.physics.vector import add, vector
+from carom.physics.vector import Vector, add, vector
 
 
 @kernel
@@ -64,7 +68,7 @@ def mark_supported(
             if i >= len(T.body) or T.inverse_mass[i] == 0.0:
                 continue
             T.support[i].is_hit = False
-            if not (contact.normal_impulse > 0.0 and _stands_still(other, T)):
+            if not (contact.normal_impulse > 0.0 and T.inverse_mass[other] == 0.0):
                 continue
             body, support, sign = T.body[i], T.support[i], 2 * end - 1
             support.end = -1 if body.is_supported else other
@@ -89,14 +93,8 @@ def mark_supported(
     for c in range(len(place)):
         for end in range(2):
             i, other = pairs[c, end], pairs[c, 1 - end]
-            if contacts[place[c]].normal_impulse > 0.0 and i < len(T.body) and not _stands_still(other, T):
+            if contacts[place[c]].normal_impulse > 0.0 and i < len(T.body) and T.inverse_mass[other] > 0.0:
                 T.body[i].is_supported = False
-
-
-@inner
-def _stands_still(i: int, T: Trajectories) -> bool:
-    """Return whether an end of a contact is fixed."""
-    return bool(T.inverse_mass[i] == 0.0 and (i < len(T.x) or stands_still(T.surface, i - len(T.x))))
 
 
 @kernel
@@ -110,6 +108,7 @@ def correct_impulses(
             if not (contact.normal_impulse > 0.0 and i < len(T.body) and T.support[i].is_hit):
                 continue
             support = T.support[i]
+            normal, tx, ty, tz = contact.normal_impulse, contact.friction_x, contact.friction_y, contact.friction_z
             contact.normal_impulse *= 1.0 + share * support.lifted
             f, m = 1.0 + share * support.cut, (2 * end - 1) / T.inverse_mass[i]
             contact.friction_x = f * contact.friction_x + m * support.slid_x
@@ -117,6 +116,29 @@ def correct_impulses(
             contact.friction_z = f * contact.friction_z + m * support.slid_z
             lx, ly, lz = angular_impulse(contact)
             set_angular_impulse(contact, f * lx, f * ly, f * lz)
+            other = pairs[c, 1 - end]
+            if other >= len(T.body):
+                normal, f = contact.normal_impulse - normal, f - 1.0
+                tx, ty, tz = contact.friction_x - tx, contact.friction_y - ty, contact.friction_z - tz
+                change = normal, (tx, ty, tz), (f * lx, f * ly, f * lz)
+                _book_work_of_wall(contacts, place[c], other, change, T)
+
+
+@inner
+def _book_work_of_wall(
+    contacts: RecordArray[ContactRecord], c: int, j: int, change: tuple[float, Vector, Vector], T: Trajectories
+) -> None:
+    """Book, as losses, the work that a wall does on a body by a change of a contact's impulses in the first kick.
+
+    ``change`` contains λ_n, λ_t and Λ.
+    """
+    contact, (normal, (tx, ty, tz), (lx, ly, lz)) = contacts[c], change
+    vx, vy, vz = velocity_in_drift(T.surface, j - len(T.body), 0.0)
+    T.drift[0].restitution -= normal * (contact.nx * vx + contact.ny * vy + contact.nz * vz)
+    T.drift[0].friction -= slope_on_wall(contact, tx * vx + ty * vy + tz * vz, tx, ty, tz)
+    if len(T.omega) > 0:
+        wx, wy, wz = vector(T.omega, j)
+        T.drift[0].friction -= lx * wx + ly * wy + lz * wz
 
 
 @inner
@@ -187,14 +209,18 @@ def _slide_on(i: int, s: float, T: Trajectories) -> None:
     px, py, pz = support.press_x, support.press_y, support.press_z
     p = np.sqrt(px * px + py * py + pz * pz)
     nx, ny, nz = px / p, py / p, pz / p  # out of the support
-    vx, vy, vz = velocity(i, T)
+    vx, vy, vz = relative_velocity(i, support.end, T)
     vn = vx * nx + vy * ny + vz * nz
     wx, wy, wz = vector(T.omega, i)
     w = support.arm * wx, support.arm * wy, support.arm * wz
-    ux, uy, uz = slip_velocity((vx - vn * nx, vy - vn * ny, vz - vn * nz), (nx, ny, nz), w)
+    ux, uy, uz = slip_velocity((vx - vn * nx, vy - vn * ny, vz - vn * nz), (-nx, -ny, -nz), w)
+    if support.end >= len(T.x):
+        x, y, z = centre(i, T)
+        point = x - support.arm * nx, y - support.arm * ny, z - support.arm * nz
+        ux, uy, uz = slip_at_wall(T.surface, support.end - len(T.x), elapsed(T), point, (ux, uy, uz))
     Kt = m + support.arm * support.arm * T.inverse_inertia[i]
     material = T.materials[material_index(min(i, support.end), max(i, support.end), len(T.x), T.places)]
-    fx, fy, fz = lasting_friction(material, p / m * dt, -ux / Kt, -uy / Kt, -uz / Kt)
+    fx, fy, fz = lasting_friction(material, p / m * dt, ux / Kt, uy / Kt, uz / Kt)
     if not Kt * Kt * (fx * fx + fy * fy + fz * fz) < ux * ux + uy * uy + uz * uz:
         return  # it sticks before the end of a step
     support.rub_x, support.rub_y, support.rub_z = m / dt * fx, m / dt * fy, m / dt * fz
