@@ -117,3 +117,24 @@ def test_a_bad_source_is_named_at_its_frame(odd: str, step: int, said: str, tmp_
     assert len(recorder.problems) == bool(said) and all(said in problem for problem in recorder.problems)
     noted = [event for event in Recording.open(tmp_path / "odd.rrd").warnings() if event.kind == "not-recorded"]
     assert [event.step for event in noted] == [step] * bool(said)
+
+
+@pytest.mark.parametrize(
+    ("steps", "order"),
+    [
+        ({"energy": 137, "friction": 64}, ["friction", "energy"]),  # the friction added the energy
+        ({"energy": 43, "friction": 64}, ["energy", "friction"]),  # the energy was wrong before
+        ({"energy": 137, "momentum": 20}, ["energy", "momentum"]),  # no contact broke a law of its own
+        ({"overlap": 137, "pull": 64}, ["overlap", "pull"]),  # an overlap is no total
+    ],
+)
+def test_a_contact_that_broke_a_law_first_comes_before_the_totals_that_it_changed(
+    steps: dict[str, int], order: list[str], tmp_path: Path
+) -> None:
+    recording = Recording.open(recorded(tmp_path / "good.rrd", False))
+    assert isinstance(recording.closing, dict)
+    for name, step in steps.items():
+        excess = 300.0 if name in ("energy", "overlap") else 2.0
+        found = {"step": step, "time": DT * step, "frames": 1, "text": name, "excess": excess, "bodies": "1,2"}
+        recording.closing.update({f"laws.{name}.{key}": value for key, value in found.items()})
+    assert list(recording.summary()["laws"]) == order

@@ -159,7 +159,7 @@ def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool
 
 
 def _laws(recording: Recording) -> dict[str, dict[str, Any]]:
-    """Return the laws that another engine broke within the recording's frames, the worst one first."""
+    """Return the laws that another engine broke within the recording's frames, in the order of `summary`."""
     if not (recording.engine and recording.frames):
         return {}
     begin, end = recording.fingerprints()["time"].to_numpy()[[0, -1]]
@@ -182,7 +182,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     warnings = recording.warnings()
     broken = [event for event in warnings if event.kind.startswith(LAWS)]
     for law in [] if any(event.kind == NOT_FINITE for event in broken) else _laws(recording).values():
-        return law["time"], str(law["text"]).splitlines()[0].rstrip(".")  # the worst law
+        return law["time"], str(law["text"]).splitlines()[0].rstrip(".")  # the first law in the order of `summary`
     for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
         return event.time, event.text.splitlines()[0].rstrip(".")
     for name, verdict in summary["expect"].items():

@@ -21,6 +21,10 @@ from carom.scene.wording import body_called, counted, hypertext
 if TYPE_CHECKING:
     from carom.recording.read.recorded_data import RecordedData
 
+# laws of another engine, see `carom.engines.faults`: a contact that breaks its law may break those of totals later
+_OF_CONTACTS = ("friction", "restitution", "pull", "spin", "missed-impact")
+_OF_TOTALS = ("energy", "momentum", "angular-momentum")
+
 
 def summary(recording: RecordedData) -> dict[str, Any]:
     """Return nested numbers; docs/recording.md lists the keys.
@@ -107,13 +111,22 @@ def _forces(recording: RecordedData) -> dict[str, Any]:
     return {"work": float(found.get("forced", 0.0)), **dampings}
 
 
-def _laws(recording: RecordedData) -> dict[str, Any]:
-    """Describe the violated laws, the largest ratio of violation to tolerance first."""
+def _laws(recording: RecordedData) -> dict[str, dict[str, Any]]:
+    """Describe the violated laws: causes before consequences, then the largest ratio of violation to tolerance first.
+
+    A law of totals that was broken after a law of contacts counts as its consequence.
+    """
     keys = ("step", "time", "frames", "text", "excess", "bodies")
     laws = _complete(_below(recording.closing, "laws"), keys)
     for law in laws.values():
         law["bodies"] = [int(end) for end in str(law["bodies"]).split(",") if end]
-    return dict(sorted(laws.items(), key=lambda row: (-row[1]["excess"], row[1]["step"])))
+    cause = min((laws[name]["step"] for name in _OF_CONTACTS if name in laws), default=np.inf)
+
+    def rank(row: tuple[str, dict[str, Any]]) -> tuple[bool, float, int]:
+        name, law = row
+        return name in _OF_TOTALS and law["step"] > cause, -law["excess"], law["step"]
+
+    return dict(sorted(laws.items(), key=rank))
 
 
 def _impacts(recording: RecordedData) -> dict[str, int]:
