@@ -1,4 +1,4 @@
-"""The equations of a solid ball that rolls without slipping on a wall or another ball, to compare runs with.
+"""The equations of a solid ball that rolls or slides on a wall or another ball, to compare runs with.
 
 With N the normal from the wall to the centre, g a uniform field and s the velocity of the wall at the contact point,
 
@@ -6,7 +6,10 @@ With N the normal from the wall to the centre, g a uniform field and s the veloc
     f = 2/7 (P (a (ω - Ω) × dN/dt + Ω × v) - P g),    P the projection onto the tangential plane
 
 f is the friction over the mass. It follows from the derivative of the first equation; I = 2/5 m a². The wall has the
-angular velocity Ω about an axis through the origin, so s = Ω × (x - a N).
+angular velocity Ω about an axis through the origin, so s = Ω × (x - a N). If the ball slides, the first equation does
+not hold, and
+
+    f = -μ p u/|u|,    u = v - a ω × N - s,    p = -g·N - v·dN/dt
 """
 
 from __future__ import annotations
@@ -23,6 +26,11 @@ Turning = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 
 EXACT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
 AT_REST = np.zeros(3)
+
+
+def on_plane(normal: FloatArray) -> Turning:
+    """Return N on a plane at rest."""
+    return lambda x, v: (normal, np.zeros(3))
 
 
 def in_sphere(distance: float) -> Turning:
@@ -86,3 +94,32 @@ def rolling_without_slip(
 
     end = solve_ivp(rates, (0.0, duration), np.concatenate((x, v, spins)), **EXACT).y[:, -1]
     return spins, end[:3], end[3:6]
+
+
+def sliding(
+    turning: Turning,
+    x: FloatArray,
+    v: FloatArray,
+    spin: FloatArray,
+    a: float,
+    g: FloatArray,
+    mu: float,
+    duration: float,
+    wall: FloatArray = AT_REST,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the position (m) and the velocity (m/s) of the centre of a ball that slides all the time.
+
+    ``spin`` is the angular velocity at the start, (3,) rad/s; the other arguments are as in `rolling_without_slip`.
+    """
+
+    def rates(_: float, state: FloatArray) -> FloatArray:
+        x, v, w = state.reshape(3, 3)
+        N, turn = turning(x, v)
+        u = v - a * np.cross(w, N) - np.cross(wall, x - a * N)
+        press = -(g @ N) - v @ turn
+        u = u - (u @ N) * N
+        f = -mu * press * u / np.linalg.norm(u)
+        return np.concatenate((v, f + g - (g @ N) * N - (v @ turn) * N, -2.5 / a * np.cross(N, f)))
+
+    end = solve_ivp(rates, (0.0, duration), np.concatenate((x, v, spin)), **EXACT).y[:, -1]
+    return end[:3], end[3:6]

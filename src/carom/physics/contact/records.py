@@ -115,8 +115,8 @@ class ContactStateRecord(Protocol):
     detected_overlap: float  # m, overlap before the position correction; 0 for a gap
     rest_speed: float  # m/s, largest approach speed of a contact at rest
     approach_speed: float  # m/s, closing speed before the impulses
-    normal_before: float  # m/s, normal velocity v_n and slip u before `hold`
-    slip_x: float
+    normal_before: float  # m/s, normal velocity v_n before `hold`
+    slip_x: float  # m/s, slip before `hold`; before a drift, the slip before the kick
     slip_y: float
     slip_z: float
     restitution_loss: float  # J, energies that the contact lost, as in `LedgerRecord`

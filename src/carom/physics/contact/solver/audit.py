@@ -32,9 +32,16 @@ from carom.physics.contact.islands import join_islands
 from carom.physics.contact.law import exerts_torque
 from carom.physics.contact.records import ContactRecord, ContactStateRecord
 from carom.physics.contact.rolling import angular_impulse, relative_spin, set_angular_impulse, spin_before
-from carom.physics.contact.solver.body_state import half_turn_of, prefetch_ends, relative_velocity, slip
+from carom.physics.contact.solver.body_state import (
+    change_by_field,
+    half_turn_of,
+    prefetch_ends,
+    relative_velocity,
+    slip,
+)
 from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.jit.decorators import inline, inner
+from carom.physics.vector import Vector
 
 
 @inner
@@ -63,10 +70,8 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
             continue
         i, j = ends_of(pairs, c)
         body_i, body_j = bodies[i], bodies[j]
-        nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
-        kx, ky, kz = (a[j, 0] - a[i, 0]) * booked, (a[j, 1] - a[i, 1]) * booked, (a[j, 2] - a[i, 2]) * booked
-        kn = kx * nx + ky * ny + kz * nz
+        kn, (kx, ky, kz) = change_by_field(contact, a, i, j, booked)
         if state.biased:  # without the bias, v_n' would be 0; the difference is the work of the bias
             lost = -Jn * (0.5 * state.normal_before - kn)
             state.stabilisation_gain += 0.5 * Jn * vn
@@ -81,15 +86,17 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
             continue
         vx, vy, vz = ux, uy, uz
         ux, uy, uz = slip(contact, body_i, body_j, vx, vy, vz)
-        lost = -(
-            contact.friction_x * (0.5 * (state.slip_x + ux) - (kx - kn * nx))
-            + contact.friction_y * (0.5 * (state.slip_y + uy) - (ky - kn * ny))
-            + contact.friction_z * (0.5 * (state.slip_z + uz) - (kz - kn * nz))
+        # the slip in ``state`` is u - Δu
+        lost = -0.5 * (
+            contact.friction_x * (state.slip_x + ux - kx)
+            + contact.friction_y * (state.slip_y + uy - ky)
+            + contact.friction_z * (state.slip_z + uz - kz)
         )
         state.friction_loss += lost
         friction += lost
         if measures:
-            slope, curvature = friction_energies(contact, state, ux, uy, uz)
+            kicked = state.slip_x + kx, state.slip_y + ky, state.slip_z + kz
+            slope, curvature = friction_energies(contact, kicked, (ux, uy, uz))
             qx, qy, qz = half_turn_of(contact, body_i, body_j, j < count, vx, vy, vz, settings.drift)
             slope -= contact.friction_x * qx + contact.friction_y * qy + contact.friction_z * qz
             measured.slope += slope
@@ -133,13 +140,12 @@ def normal_energies(contact: ContactRecord, state: ContactStateRecord, vn: float
 
 
 @inline
-def friction_energies(
-    contact: ContactRecord, state: ContactStateRecord, ux: float, uy: float, uz: float
-) -> tuple[float, float]:
-    """Return λ_t·u and λ_t·(u' - u), in J."""
+def friction_energies(contact: ContactRecord, before: Vector, after: Vector) -> tuple[float, float]:
+    """Return λ_t·u and λ_t·(u' - u) in J, given u and u' in m/s."""
     tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
-    before = tx * state.slip_x + ty * state.slip_y + tz * state.slip_z
-    return before, tx * (ux - state.slip_x) + ty * (uy - state.slip_y) + tz * (uz - state.slip_z)
+    (ux, uy, uz), (vx, vy, vz) = before, after
+    slope = tx * ux + ty * uy + tz * uz
+    return slope, tx * (vx - ux) + ty * (vy - uy) + tz * (vz - uz)
 
 
 @inline

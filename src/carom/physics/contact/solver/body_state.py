@@ -268,6 +268,17 @@ def slip(
 
 
 @inline
+def change_by_field(
+    contact: ContactRecord, acceleration: FloatArray, i: int, j: int, kick: float
+) -> tuple[float, Vector]:
+    """Return the changes of v_n and of u (m/s) that the accelerations of two ends (m/s²) give in a kick (s)."""
+    a, nx, ny, nz = acceleration, contact.nx, contact.ny, contact.nz
+    kx, ky, kz = (a[j, 0] - a[i, 0]) * kick, (a[j, 1] - a[i, 1]) * kick, (a[j, 2] - a[i, 2]) * kick
+    kn = kx * nx + ky * ny + kz * nz
+    return kn, (kx - kn * nx, ky - kn * ny, kz - kn * nz)
+
+
+@inline
 def half_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float, drift: float
 ) -> Vector:

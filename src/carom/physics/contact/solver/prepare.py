@@ -52,6 +52,7 @@ from carom.physics.contact.rolling import (
 from carom.physics.contact.solids import bias_along_wall
 from carom.physics.contact.solver.body_state import (
     apply_impulse,
+    change_by_field,
     prefetch_ends,
     relative_velocity,
     set_half_turn,
@@ -125,7 +126,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     settings = system.settings[0]
     spins = settings.spins
     dt, drift, booked, bias_rate = settings.dt, settings.drift, settings.booked, settings.bias_rate
-    count = body_count(system)
+    count, kicked = body_count(system), booked if drift > 0.0 else 0.0
     for piece in range(first, end):
         lo, hi = contacts_of(piece, piece + 1, system)
         largest = 0.0  # m/s, largest velocity that a contact removes
@@ -143,7 +144,9 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                     K, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
                 )
                 contact.tangent_mass = 1.0 / Kt
-                state.slip_x, state.slip_y, state.slip_z = slip(contact, body_i, body_j, tx, ty, tz)
+                ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
+                kx, ky, kz = change_by_field(contact, system.acceleration, i, j, kicked)[1]
+                state.slip_x, state.slip_y, state.slip_z = ux - kx, uy - ky, uz - kz
                 wx, wy, wz = relative_spin(body_i, body_j)
                 set_spin_before(contact, wx, wy, wz)
             gap, rest_speed = -state.overlap, state.rest_speed

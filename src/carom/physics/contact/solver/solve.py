@@ -19,7 +19,8 @@ end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity o
 
 Without the square root, two spheres that roll about each other would separate along the tangent, and lose their contact
 in every other step. The scheme is RATTLE (Andersen 1983) for contacts. Friction ends u - q, the slip in the middle of
-the drift (`half_turn`): as the normal turns, a body that spins about the normal begins to slip.
+the drift (`half_turn`): as the normal turns, a body that spins about the normal begins to slip. The direction of
+sliding friction is that of the slip between two steps (`friction`).
 
 Contacts of a colour are solved eight at a time (`solve_block`), with the same bits as if solved one by one. Both forms
 call the same formulas, and call the law for each contact separately, so a law needs only one form.
@@ -54,9 +55,9 @@ from carom.physics.contact.constraints import (
     ends_of,
 )
 from carom.physics.contact.guided_walls import is_guided
-from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
+from carom.physics.contact.law import exerts_torque, material_index
 from carom.physics.contact.moving_walls import along_surface_velocity, slope_on_wall
-from carom.physics.contact.records import BodyStateRecord, ContactRecord, ContactStateRecord
+from carom.physics.contact.records import BodyStateRecord, ContactRecord
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,
@@ -82,6 +83,7 @@ from carom.physics.contact.solver.body_state import (
     torque_of,
     turn,
 )
+from carom.physics.contact.solver.friction import friction, friction_of_one
 from carom.physics.jit.decorators import inline, inner
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import (
@@ -102,7 +104,7 @@ from carom.scene.schema import Coefficients
 
 # iterations end when changes are below this fraction of the largest velocity that a contact removes
 HOLD_CONVERGED = 1e-8
-Vector = Sequence[Lanes]
+InLanes = Sequence[Lanes]
 KINDS = (
     *(CONTACT, CONTACT_ON_WALL, CONTACT_ON_MOVING_WALL, CONTACT_OF_IMAGE),
     *(ROLLING_CONTACT, ROLLING_ON_WALL, ROLLING_ON_MOVING_WALL, ROLLING_CONTACT_OF_IMAGE),
@@ -186,7 +188,8 @@ def _solve_each(
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
             material = system.materials[material_index(i, j, count, places)]
             keeps_sliding = system.enough[c] > slides_above
-            tx, ty, tz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
+            opening = mt if drift > 0.0 else 0.0
+            tx, ty, tz = friction(state, material, keeps_sliding, opening, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
             slope = slope_on_wall(contact, slope, dx, dy, dz) - (dx * qx + dy * qy + dz * qz)
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
@@ -205,35 +208,6 @@ def _solve_each(
         push(body_i, body_j, Jx, Jy, Jz)
         accumulate_push(body_i, body_j, Jx, Jy, Jz)
     return change, step_limit, slope
-
-
-@inline
-def friction(
-    state: ContactStateRecord,
-    material: Coefficients,
-    keeps_sliding: bool,
-    normal: float,
-    tx: float,
-    ty: float,
-    tz: float,
-) -> tuple[float, ...]:
-    """Return the tangential impulse that a contact exerts, (3,) N s.
-
-    Parameters
-    ----------
-    state, material
-        `CONTACT_STATE` and `MATERIAL` of the contact; ``slides`` is noted in ``state``.
-    keeps_sliding
-        Whether a contact that has slid once keeps sliding, see `solver.phases`.
-    normal
-        N s, total of the normal impulse since the kick.
-    tx, ty, tz
-        N s, total of the tangential impulse that would end the slip.
-    """
-    if keeps_sliding and (state.slides or not sticks(material, normal, tx, ty, tz)):
-        state.slides = True
-        return sliding_friction(material, normal, tx, ty, tz)
-    return lasting_friction(material, normal, tx, ty, tz)
 
 
 @inline
@@ -322,9 +296,7 @@ class _Solution:
             self._resist_rotation(contact, bodies, torque, alpha)
             contact.write(2, self._held)
 
-    def _half_turn(
-        self, contact: RecordLanes, bodies: Sequence[RecordLanes], u: Vector, on_walls: bool
-    ) -> Sequence[Lanes]:
+    def _half_turn(self, contact: RecordLanes, bodies: Sequence[RecordLanes], u: InLanes, on_walls: bool) -> InLanes:
         """Return q of the contacts, see `half_turn_of`."""
         builder, block = self._builder, self._block
         nothing = [spread(builder, DOUBLE(0.0))] * 3
@@ -346,7 +318,7 @@ class _Solution:
         return dict(zip(names, velocity, strict=True))
 
     def _resist_rotation(
-        self, contact: RecordLanes, bodies: Sequence[RecordLanes], torque: Sequence[Lanes], alpha: Lanes
+        self, contact: RecordLanes, bodies: Sequence[RecordLanes], torque: InLanes, alpha: Lanes
     ) -> None:
         """Change the angular impulse to end Ω after the friction ``torque``, within the law's limits."""
         block = self._block
@@ -377,7 +349,7 @@ class _Solution:
         surface_speed = reduce(greater, map(abs, d)) * K * greater(contact.arm_i, contact.arm_j)
         self._change = greater(self._change, surface_speed.where(rotates, block.nothing))
 
-    def _limited(self, normal: Lanes, ending: Vector) -> list[Lanes]:
+    def _limited(self, normal: Lanes, ending: InLanes) -> list[Lanes]:
         """Return the angular impulse that the law allows, contact by contact, given the impulse that would end Ω."""
         builder, block = self._builder, self._block
         kinds = [*(block.kind_of(name).dtype for name in ("contacts", "materials")), *["float64"] * 4]
@@ -402,7 +374,7 @@ class _Solution:
         )
         return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
-    def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
+    def _bias(self, contact: RecordLanes, u: InLanes) -> Lanes:
         """Return the biases c: `bias_along_arc` between bodies before a drift, otherwise as `prepare` wrote them."""
         builder, block, bias = self._builder, self._block, contact.velocity_bias
         between = block.between_bodies
@@ -413,49 +385,37 @@ class _Solution:
 
         return either(builder, block.drifts, along_arc, lambda: [bias])[0]
 
-    def _rub(self, contact: RecordLanes, u: Vector, alpha: Lanes) -> list[Lanes]:
+    def _rub(self, contact: RecordLanes, u: InLanes, alpha: Lanes) -> list[Lanes]:
         """Change the friction towards the impulse that ends the slip u, as far as the law allows; return its change."""
         axes = ("x", "y", "z")
         old = [getattr(contact, f"friction_{axis}") + alpha * getattr(contact, f"delta_{axis}") for axis in axes]
         ending = [before - along * contact.tangent_mass for before, along in zip(old, u, strict=True)]
-        friction = self._by_law(contact.normal_impulse, ending)
+        friction = self._by_law(contact, ending)
         d = [after - before for after, before in zip(friction, old, strict=True)]
         for axis, after, change in zip(axes, friction, d, strict=True):
             contact.change(**{f"friction_{axis}": after, f"delta_{axis}": change})
         return d
 
-    def _by_law(self, normal: Lanes, ending: Vector) -> list[Lanes]:
+    def _by_law(self, contact: RecordLanes, ending: InLanes) -> list[Lanes]:
         """Return the friction that the law allows, contact by contact, given the impulse that would end the slip."""
         builder, block = self._builder, self._block
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
-        kinds = [*records, "boolean", *["float64"] * 4]
+        kinds = [*records, "boolean", *["float64"] * 5]
         enough = read_doubles(builder, block.address("enough", block.places[0]))
         # only the state of held contacts is marked as sliding
         keeps_sliding = self._held & (enough > block.setting("slides_above"))
+        opening = either(builder, block.drifts, lambda: [contact.tangent_mass], lambda: [block.nothing])[0]
         impulses = []
         for k, material in enumerate(block.materials()):
-            numbers = [value.lane(k) for value in (normal, *ending)]
+            numbers = [value.lane(k) for value in (opening, contact.normal_impulse, *ending)]
             given = [block.address("states", block.places[k]), material, keeps_sliding.bit(k), *numbers]
-            allowed = block.code.call(_friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
+            allowed = block.code.call(friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
             impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
         return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
-
-
-def _friction_of_one(
-    state: ContactStateRecord,
-    material: Coefficients,
-    keeps_sliding: bool,
-    normal: float,
-    tx: float,
-    ty: float,
-    tz: float,
-) -> tuple[float, ...]:
-    """Call `friction`: `Code.call` accepts a plain function of Python, not a kernel."""
-    return friction(state, material, keeps_sliding, normal, tx, ty, tz)
 
 
 def _limited_of_one(
     contact: ContactRecord, material: Coefficients, normal: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Call `limited`, as `_friction_of_one` calls `friction`."""
+    """Call `limited`, as `friction_of_one` calls `friction`."""
     return limited(contact, material, normal, x, y, z)
