@@ -232,7 +232,7 @@ def take_steps(
                 if not is_done:
                     break
             advance(0, n, position, velocity, drift)
-            is_done = find(contacts, totals, length)
+            is_done = find(contacts, totals, damped)
             if not is_done:
                 break
             if is_periodic(box):

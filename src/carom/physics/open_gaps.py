@@ -139,8 +139,8 @@ def can_drift(
 
 
 @_without_contacts
-def find(contacts: Any, totals: Totals, dt: float) -> bool:
-    """Find contacts after the drift of a step of dt s, and correct overlaps; return whether the step can continue."""
+def find(contacts: Any, totals: Totals, damped: DampedStep) -> bool:
+    """Find contacts after the drift of a step, and correct overlaps; return whether the step can continue."""
     return True
 
 

@@ -298,7 +298,8 @@ def test_a_hopper_whose_balls_come_back_flows_steadily() -> None:
     begin, middle, end = (int(np.searchsorted(time, at)) for at in (1.0, 3.0, 5.0))
     first = (left[middle] - left[begin]) / (time[middle] - time[begin])
     second = (left[end] - left[middle]) / (time[end] - time[middle])
-    assert second == pytest.approx(first, rel=0.15)  # 246 and 223 balls a second when this was written
+    # 190 to 265 balls a second; over seven seeds, the second half differs from the first by up to 20 %
+    assert second == pytest.approx(first, rel=0.3)
     for frame in frames:
         assert len(frame.position) == 300
         assert abs(frame.energy.integration_error) < 1e-12 * frame.energy.scale

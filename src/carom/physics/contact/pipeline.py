@@ -300,7 +300,7 @@ class ContactPipeline:
         self._order_contacts(pairs, step.dt)
         step.profile.mark("colouring")
         if self._pushes and len(pairs):
-            step.pushed = self.solver.correct_positions(self.most_sweeps)
+            step.pushed = self.solver.correct_positions(self.most_sweeps, step.last_kick)
             for corrected in self.hooks.corrected:
                 corrected(step)
         step.profile.mark("stabilisation")

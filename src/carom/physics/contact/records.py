@@ -122,7 +122,7 @@ class ContactStateRecord(Protocol):
     restitution_loss: float  # J, energies that the contact lost, as in `LedgerRecord`
     friction_loss: float
     stabilisation_gain: float
-    push_x: float  # m, Σ δ n over the position corrections
+    push_x: float  # m, Σ (δ n - h σ v_t) over the position corrections; see `solver.positions`
     push_y: float
     push_z: float
     push_fraction: float  # fraction of the overlap that one position correction removes
@@ -280,6 +280,7 @@ class SettingsRecord(Protocol):
     drift: float  # s, length of the coming drift; 0 after the last kick
     booked: float  # s, the part of the drift for which the work of the forces is already booked
     bias_rate: float  # 1/s, Baumgarte's separation speed per overlap
+    next_kick: float  # s, h: length of the kick after the position correction
     alpha: float  # α of the line search and of conjugate gradients
     beta: float  # β of conjugate gradients, the weight of the last direction in the next direction
     negligible: float  # m/s; a slower approach is not a violation

@@ -115,11 +115,15 @@ def _collide(i: int, j: int, log: RecordArray[ImpactRecord], row: int, pushed: f
     e = restitution_of_impact(material, -vn, slow, Kn, ri, rj)
     Jn = max(0.0, rebound(e, vn)) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
+    lands = False
     if max(T.load_speed[i], T.load_speed[j]) > 0.0:  # a force may press the bodies together
         landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T) + pushed
-        if landing > max(vn, -e * vn):
+        lands = landing > max(vn, -e * vn)
+        if lands:
             Jn = (landing - vn) / Kn
             entry.stabilisation_gain = entry.restitution_loss - normal_loss(Jn, vn, Kn)
+    _note_landing(i, lands, T)
+    _note_landing(j, lands, T)
     Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
     entry.i, entry.j, entry.time, entry.clock = i, j, elapsed(T), clock
     entry.nx, entry.ny, entry.nz = nx, ny, nz
@@ -190,6 +194,13 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
         wx, wy, wz = mean_velocity_of_wall(j, T)
         landing += (vx - wx) * nx + (vy - wy) * ny + (vz - wz) * nz
     return landing
+
+
+@inner
+def _note_landing(i: int, lands: bool, T: Trajectories) -> None:
+    """Record whether a body stays on what it has hit last; ``i`` may be a solid."""
+    if i < len(T.x):
+        T.body[i].has_landed = lands and T.inverse_mass[i] > 0.0
 
 
 @inner

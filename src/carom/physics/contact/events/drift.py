@@ -224,6 +224,8 @@ class EventDrivenDrift(Mover):
                         correct_impulses(*acted, T)
                     self._book_supports()
         if len(impacts):
+            if contacts.lasts:  # a contact that opens along the arc of a curved surface is held after the last kick
+                contacts.solver.pressed[:n] |= T.body["has_landed"]
             self._team.divide(n, MIN_BODIES_PER_TASK, finish, T, alone=self._finish)
         else:
             self._team.divide(len(bodies), MIN_BODIES_PER_TASK, advance, bodies.position, bodies.velocity, dt)

@@ -206,15 +206,21 @@ def drift_steady(contacts: SteadyContacts, path: DampedPath, dt: float, holds: b
 
 
 @with_contacts(find)
-def _find(contacts: SteadyContacts, totals: Totals, dt: float) -> bool:
-    T = contacts.trajectories
-    return _are_finite(T.x, T.v) and find_steady(contacts, T.x, T.radius[: len(T.x)], dt, totals[0].last_kick > 0.0)
+def _find(contacts: SteadyContacts, totals: Totals, damped: DampedStep) -> bool:
+    T, holds = contacts.trajectories, totals[0].last_kick > 0.0
+    return _are_finite(T.x, T.v) and find_steady(contacts, T.x, T.radius[: len(T.x)], damped, holds)
 
 
 @inner
-def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float, holds: bool) -> bool:
-    """Set up the contacts after the drift of a step of dt s, and correct overlaps; see `ContactPipeline.find`."""
-    system, rules, buffers, m = contacts.system, contacts.rules, contacts.buffers, len(contacts.pairs)
+def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, damped: DampedStep, holds: bool) -> bool:
+    """Set up the contacts after the drift of a step, and correct overlaps; see `ContactPipeline.find`."""
+    system, rules, buffers, m, dt = (
+        contacts.system,
+        contacts.rules,
+        contacts.buffers,
+        len(contacts.pairs),
+        damped.length,
+    )
     scale, skin, rounding = _margins(x, radius, system.acceleration, rules, dt)
     if _is_behind(contacts, x) or not _are_same(contacts, x, radius, scale, skin):
         return False
@@ -234,6 +240,7 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
         write_rest_speeds(0, m, system.pairs, system.contacts, pressed, system.load_speed, system.states)
     if rules.pushes:
         b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
+        settings.next_kick = damped.last_kick
         find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
         gather_positions(0, b, system.active, (x, v, radius, system.inverse_mass), pushed, pushed_in)
         run_job(rules.board, POSITIONS, rules.addresses, rules.kind, system, rules.most_sweeps)

@@ -77,6 +77,7 @@ class TrajectoryRecord(QueuedRecord, Protocol):
     exhausted: bool  # whether the body has had as many impacts as a drift allows
     is_supported: bool  # whether contacts hold the body, and all of them are with something fixed; see `supports`
     is_lifted: bool  # whether an impact in this drift has lifted the body off its support
+    has_landed: bool  # whether the body stays on what it has hit last in this drift, since a field presses it there
 
 
 TRAJECTORY = dtype_of(TrajectoryRecord)
@@ -217,7 +218,7 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
         body.start_x, body.start_y, body.start_z = vector(T.x, i)
         body.impact_time, body.impacts, body.queue_place = np.inf, 0, -1
         body.is_straight, body.is_free = not bends or T.inverse_mass[i] == 0.0, not pressed[i]
-        body.is_supported = body.is_lifted = False
+        body.is_supported = body.is_lifted = body.has_landed = False
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
         arrive(i, T)
 

@@ -272,8 +272,12 @@ class ContactSolver:
             near = system.pairs, system.position, ends.velocity, system.surface
             self.turning = add_load_of_walls(*near, lift, self.pressing)
 
-    def correct_positions(self, max_iterations: int) -> FloatArray:
-        """Correct the overlaps of resting contacts; return the displacements of the guided walls, (k,) m."""
+    def correct_positions(self, max_iterations: int, next_kick: float = 0.0) -> FloatArray:
+        """Correct the overlaps of resting contacts; return the displacements of the guided walls, (k,) m.
+
+        ``next_kick`` is the length of the kick that follows, in s.
+        """
+        self._settings["next_kick"] = next_kick
         system, counts = self._system, self.counts
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
