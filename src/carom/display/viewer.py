@@ -222,8 +222,8 @@ def broken_off(said: str) -> str | None:
     """Return the last message of a viewer that crashed; None if it did not crash."""
     if glyph := _GLYPH.search(said):
         return (
-            f"the viewer that renders without a screen cannot draw {glyph[1]}, which its font lacks: rename what has "
-            "it in its name, or look at the recording with `carom view`"
+            f"the viewer that renders without a screen cannot draw {glyph[1]}, which its font lacks: rename the "
+            "bodies whose names contain it, or open the recording with `carom view`"
         )
     found = _PANIC.search(said)
     if found is None or _lacks_driver(found[1]):

@@ -68,7 +68,7 @@ class ContactTorques:
             way, off_there = _usual_way(ways, np.array(turned))
             beside = float(np.quantile(off_there, MOSTLY))
             if BETTER * beside < min(OFF, usual):
-                what = "changes its spin as if spins were told in the frame of the body"
+                what = "changes its spin as if spins were given in the frame of the body"
                 yield from self._above(_off(ways[:, way], seen), max(SURELY, SPREADS * beside), what)
                 return
         ratios = np.einsum("mi,mwi->mw", seen, ways) / np.einsum("mwi,mwi->mw", ways, ways)

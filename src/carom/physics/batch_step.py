@@ -158,8 +158,8 @@ class BatchStepper:
             contact.resolve_meeting(ends, 0.0)
         if self._holder:
             self._held = True
-            since = "while they do," if self._takes_back else "from now on"
-            text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
+            since = "while they rest," if self._takes_back else "from now on"
+            text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates all bodies."
             # the event belongs to the step that begins now, since the frame of the last step may already be recorded
             self._books.log(Event(world.clock.step + 1, time, "INFO", text, "at-rest"))
             self._holder.take_over()

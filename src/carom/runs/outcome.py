@@ -276,7 +276,7 @@ def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
         return [*texts, f"integration error at most {worst} of the energy scale"]
     work = summary["forces"].get("work", 0.0)
     if work:
-        texts.append(f"{units.text(work, ENERGY, '+.4g')} by damping and by forces that the engine was told")
+        texts.append(f"{units.text(work, ENERGY, '+.4g')} by damping and by forces that the engine's source states")
     if summary["contacts"]["total"] or energy["change_in_contact"] != work:
         change = units.text(energy["change_in_contact"] - work, ENERGY, "+.4g")
         unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""

@@ -48,7 +48,9 @@ _LEVEL = 4
 _SCRIPT_STARTS, _SCRIPT_ENDS = b"let wasm_bindgen = (function(exports)", b"})({ __proto__: null });\n"
 _MODULE_STARTS = b"\0asm\x01\0\0\0"
 _LAST_SECTION = 13
-_NO_WEB_VIEWER = "the installed rerun-sdk holds no web viewer that carom can read; install the version that carom names"
+_NO_WEB_VIEWER = (
+    "the installed rerun-sdk contains no web viewer that carom can read; install the version that carom names"
+)
 _NAMES = (HOST, "localhost")  # hosts that requests may name; other names come from pages that use DNS rebinding
 _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
 

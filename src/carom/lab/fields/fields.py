@@ -269,6 +269,6 @@ def _left_out(interval: Interval) -> str:
         return f"{smaller} have no rows and are missing in the stress; --replay has them"
     part = 1.0 - float((interval.arms(rows.i, rows.j) * rows.impulse).sum()) / whole
     return (
-        f"{smaller} have no rows; their {100.0 * part:.2g} % of the pressure of all impacts are spread over the places "
-        "of the impacts with rows, and --replay places each"
+        f"{smaller} have no rows; they contribute {100.0 * part:.2g} % of the pressure of all impacts, which is "
+        "distributed over the places of the impacts with rows; --replay finds the place of each"
     )

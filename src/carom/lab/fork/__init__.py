@@ -255,12 +255,12 @@ def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevi
             low, high = chance.band
             yield f"  forked at {at(chance.time)}: {chance.probability:.0%} ({low:.0%} to {high:.0%})"
     if moment is not None:
-        state = "was" if found.reference_outcome else "was not"
         for tested in moment.tested:
             yield f"  forked at {at(tested.time)}: {tested.hits} of {tested.forks} have the same outcome"
         if moment.always:
-            yield f"That it {state} so was inevitable at {at(moment.latest)} already; fork earlier."
+            yield f"The outcome of the unperturbed run was already inevitable at {at(moment.latest)}; fork earlier."
         else:
             yield (
-                f"That it {state} so was inevitable from {at(moment.latest)} on, and not yet at {at(moment.earliest)}."
+                f"The outcome of the unperturbed run was inevitable from {at(moment.latest)} on, "
+                f"but not yet at {at(moment.earliest)}."
             )

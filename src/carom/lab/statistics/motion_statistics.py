@@ -188,7 +188,7 @@ def measure_velocities(interval: Interval) -> Statistic:
     there = ~np.isnan(velocity[:, :, 0])
     enough = there.sum(axis=1) >= 2
     if not enough.any():
-        raise RecordingError("at no moment do two bodies exist that can move")
+        raise RecordingError("two bodies that can move never exist at the same time")
     velocity, there = velocity[enough], there[enough]
     weighted = peculiar(velocity, mass)
     if not np.nan_to_num(weighted).any():
@@ -290,9 +290,7 @@ def measure_stress(interval: Interval) -> Statistic:
         volume, dimension = 1.0, ENERGY
         notes.append("there is no box, so the stress is not divided by a volume")
     elif interval.is_partly_empty:
-        notes.append(
-            "divided by the volume of domain.size, also where planes and walls, or a free surface, end the bodies"
-        )
+        notes.append("divided by the volume of domain.size, even if planes, walls or a free surface bound the bodies")
 
     def pressure(label: str, part: FloatArray, error: float | None = None) -> MeasuredValue:
         return MeasuredValue(label, float(np.trace(part)) / 3 / volume, dimension, error and error / volume)

@@ -224,7 +224,8 @@ def _parts(study: Study) -> Iterator[Part]:
         scatters = ", ".join(f"{phrase(each)} {study.floor(each):.1e}" for each in Settled._fields[:-1])
         yield (
             f"Settled piles of other seeds differ by {scatters}, and "
-            f"{units.text(study.floor('rest_time'), TIME, '.2g')} in {phrase('rest_time')}; less is not an error."
+            f"{units.text(study.floor('rest_time'), TIME, '.2g')} in {phrase('rest_time')}; "
+            "smaller differences are not errors."
         )
     yield _legend(study.noise)
     left_out = study.left_out
@@ -258,8 +259,8 @@ def _legend(noise: float) -> str:
         )
     return (
         "● No other setting is as accurate and as cheap. ? Another setting may be, but the times or the reference are "
-        "too uncertain. Without a mark: another setting is both. Costs are medians, known to half their range, or to "
-        f"{noise:.0%} where that is more."
+        "too uncertain. Without a mark: another setting is as accurate and cheaper. Costs are medians, known to half "
+        f"their range, or to {noise:.0%} where that is more."
     )
 
 

@@ -110,7 +110,7 @@ def why(
     steps = np.diff(recording.fingerprints()[STEP].to_numpy())
     source = f"recorded from {recording.engine}"
     if len(steps) and steps.max() > 1:
-        source += f"; a frame is up to {int(steps.max())} steps after the frame before, so that impulses are estimates"
+        source += f"; a frame is up to {int(steps.max())} steps after the previous frame, so impulses are estimates"
     acts = recording.uniform_field is not None and bool(recording.uniform_field.any())
     return replace(answer, engine=recording.engine, source=source, knows_field=acts)
 

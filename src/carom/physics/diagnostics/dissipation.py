@@ -47,10 +47,10 @@ if TYPE_CHECKING:
 
 RESTITUTION, STOPPED, GAIN, HOLDING = range(4)  # the four statements above, as indices of arrays
 WRONG = (
-    "Impacts have not removed the energy that the coefficient of restitution says",
+    "Impacts have not removed the energy that the coefficient of restitution prescribes",
     "Impacts that no force presses together have ended without their rebound",
     "Friction has added energy",
-    "Friction that holds has changed the energy, but it does no work",
+    "Static friction has changed the energy, although it can do no work",
 )
 
 # Tolerance as a fraction of the energy of an impact, ½ μ v_n². The actual and the required loss follow from one closing

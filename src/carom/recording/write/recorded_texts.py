@@ -301,7 +301,7 @@ def _impulse_legend(header: Header) -> list[str]:
         f"body, or out of a plane or wall (yellow){friction}, {longest} · u long.",
     ]
     if header.engine:
-        return [*lines, "- An impulse is the force that the engine reports, times the time since the frame before."]
+        return [*lines, "- An impulse is the force that the engine reports, times the time since the previous frame."]
     return [
         *lines,
         "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
