@@ -1,11 +1,11 @@
 """Effects of contacts in an interval, in a run and in its repetition with shorter steps, and allowed differences.
 
-A step treats the load of a contact as acting at one instant. If an impact, or the end of sliding, lies within the step,
-velocities differ by up to 2 J/m along the contact's normal, where J is the impulse of the load in a step, and by 2 a dt
-along the acceleration a that forces cause. An impact passes on the part of such a load that lies along the impact's
-normal. Further impacts pass on this part, and friction turns a fraction of it into other directions. Loads allow no
-difference if no contact began, ended or changed its mode, and none across their normals: a rolling ball follows its
-path, and a slow impact along a floor bounces, whatever load the floor carries.
+A step treats the load of a contact as acting at one instant. Let J be the impulse of the load in a step, and a the
+acceleration that forces cause. If an impact, or the end of sliding, lies within the step, velocities differ by up to 2
+J/m along the contact's normal, and by up to 2 a dt along a. An impact passes on the part of such a load that lies along
+the impact's normal. Further impacts pass on this part, and friction turns a fraction of it into other directions. Loads
+allow no difference if no contact began, ended or changed its mode, and none across their normals: a rolling ball
+follows its path, and a slow impact along a floor bounces, whatever load the floor carries.
 
 Two errors of first order are allowed in addition. A load that lasts, but changes by ΔJ from one step to the next, as in
 a buckling column, is uncertain by ΔJ. The closing speed of a body that rests on something is uncertain by a dt/2 along

@@ -182,11 +182,11 @@ class Comparison:
         """Compare the ledger entries of an interval that began with nearly all energy in bodies of predictable motion.
 
         Chaos within the interval may change which body has the energy, but hardly how much energy is left. An entry is
-        compared if the twin agrees with the run, or agrees with the shorter steps, which means that the run alone is
-        wrong. The quantity must also differ two steps later, since an impact may be just before or just after the
-        instant. If positions differ, forces have done different work, and contacts remove the energy that position
-        corrections add. Within a step, forces may make bodies in contact approach each other; with shorter steps, these
-        bodies bounce.
+        compared if the twin agrees with the run. It is also compared if the twin agrees with the shorter steps, since
+        then the run alone is wrong. The quantity must also differ two steps later, since an impact may be just before
+        or just after the instant. If positions differ, forces have done different work, and contacts remove the energy
+        that position corrections add. Within a step, forces may make bodies in contact approach each other; with
+        shorter steps, these bodies bounce.
         """
         certain, self._certain = self._certain, self._certain_share(frame)
         taken, refined = _booked(before, frame), _booked(fine_before, fine)

@@ -22,7 +22,7 @@ LEAST = 5  # number of kernels after which their rate is meaningful
 
 
 class CompilationProgress(Compilations):
-    """Shows the progress of a compilation, in the live line of a run, or in a line every `LINE_EVERY`.
+    """Shows the progress of a compilation: in the live line of a run, or else by one line per `LINE_EVERY` seconds.
 
     Parameters
     ----------

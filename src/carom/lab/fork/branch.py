@@ -174,8 +174,8 @@ def path_of(
     """Run a branch to its end.
 
     Branches are compared at the end, and at multiples of the frame interval, or of a longer interval if there are many
-    frames. Each branch has a frame after the first step that reaches a multiple. Since steps differ between branches,
-    bodies are moved back along their velocities to the exact multiple.
+    frames. Each branch has a frame after the first step that reaches a multiple. The steps of branches differ, so the
+    bodies of such a frame are moved back along their velocities to the exact multiple of the interval.
     """
     begin, end = start.checkpoint.time, start.scene.time.duration
     interval = float(max(auto.frame_interval(start.scene), (end - begin) / MOST_FRAMES))

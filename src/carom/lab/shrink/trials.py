@@ -261,8 +261,8 @@ def execute(task: Task) -> bool:
 class Judges:
     """Processes that test candidates, started once candidates take long enough; ``None`` means one for each core.
 
-    The result does not depend on the processes: among several candidates, the first in order that shows the failure is
-    chosen.
+    The result does not depend on the number of processes: of the candidates that show the failure, the first in order
+    is chosen.
     """
 
     def __init__(self, count: int | None) -> None:

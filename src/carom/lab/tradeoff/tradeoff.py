@@ -436,7 +436,7 @@ def _machine(result: SettingResult) -> tuple[int | None, str]:
 
 
 def _count(number: int, results: list[SettingResult]) -> str:
-    """Describe the number of a setting."""
+    """Describe the position of a setting among all settings, such as 3/12; empty if there is only one."""
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 

@@ -51,7 +51,7 @@ class Flow(NamedTuple):
 
     @classmethod
     def none(cls, count: int, bodies: int) -> Flow:
-        """Return the flow over ``count`` impulses that pass nothing on."""
+        """Return the flow over ``count`` impulses that pass on no share."""
         return cls(np.zeros((count, bodies)), np.zeros((count, bodies)))
 
 

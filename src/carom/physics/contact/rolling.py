@@ -65,7 +65,7 @@ def set_change_of_angular_impulse(record: object, x: float, y: float, z: float) 
 
 @with_field("spin_x", lambda record: (record.spin_x, record.spin_y, record.spin_z))
 def spin_before(record: object) -> Vector:
-    """Return Ω before `hold` in rad/s."""
+    """Return Ω before the call of `hold`, in rad/s."""
     return 0.0, 0.0, 0.0
 
 
@@ -75,7 +75,7 @@ def _set_spin_before(record: Any, x: float, y: float, z: float) -> None:
 
 @with_field("spin_x", _set_spin_before)
 def set_spin_before(record: object, x: float, y: float, z: float) -> None:
-    """Set Ω before `hold` in rad/s."""
+    """Set Ω before the call of `hold`, in rad/s."""
 
 
 @inline

@@ -19,7 +19,7 @@ RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of arrays of terms, (
 
 
 class LedgerRecord(Protocol):
-    """The terms as fields of records."""
+    """A record with the terms of the ledger as fields."""
 
     restitution_loss: float  # J
     friction_loss: float

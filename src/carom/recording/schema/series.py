@@ -60,7 +60,7 @@ _DRIVES = ("wall.motion", "piston", "release", "driving-field", "shear")
 # Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
 # scaled values are also recorded if the scene has a section [units].
 IN_PLOT = "in_plot"
-IMPULSES = Plot("Impulse of impacts", "N s")  # has one point for each recorded impact, from its own row
+IMPULSES = Plot("Impulse of impacts", "N s")  # has one point for each recorded impact, read from the row of the impact
 
 
 class Sample(NamedTuple):

@@ -68,11 +68,11 @@ class BatchContacts:
                 begin, size = end, 0
 
     def largest(self) -> FloatArray:
-        """Return the largest normal impulse of each frame's contacts in N s, (frames,); 0 without any."""
+        """Return the largest normal impulse of each frame's contacts in N s, (frames,); 0 without contacts."""
         return self._largest([block.rows["normal_impulse"] for block in self.blocks], self.contacts, finite=True)
 
     def hardest(self) -> FloatArray:
-        """Return the largest normal impulse of each frame's impacts in N s, (frames,); 0 without any."""
+        """Return the largest normal impulse of each frame's impacts in N s, (frames,); 0 without impacts."""
         return self._largest([block.impacts["normal_impulse"] for block in self.blocks], self.impacts, finite=False)
 
     def _largest(self, parts: Sequence[FloatArray], each: IntArray, *, finite: bool) -> FloatArray:

@@ -140,7 +140,7 @@ FILE_BYTES = 300_000  # bytes of layout, styles and footer (docs/recording.md, S
 # ratio of the bytes of contacts to all other bytes counted here: about a fifth of the whole file, which has further
 # data
 SHARE = 0.22
-_ARROWS, _SCENES = 0.02, 0.04  # largest fractions of all other data: for arrows, and for frames at impacts
+_ARROWS, _SCENES = 0.02, 0.04  # largest sizes of arrows and of frames at impacts, as fractions of all other data
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes that frames at impacts may take in any recording
 _HARDER = 1.25  # an impact this many times as hard as any with a frame gets a frame even beyond the budget
 _SCENE = 850  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
@@ -150,7 +150,7 @@ DRAWN_BYTES, TURNED_BYTES = 12, 28  # bytes of a body in a frame: a centre in fl
 _AT_REST = 2  # measured bytes of a body that does not move, compressed
 # measured bytes of an arrow of torque, of an edge, and of an edge whose bodies move
 _TORQUE, _EDGE, _MOVED_EDGE = 25, 5, 12
-_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame, without arrays that equal others
+_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame; arrays that equal other arrays are not stored
 
 
 class BudgetRecord(Protocol):
