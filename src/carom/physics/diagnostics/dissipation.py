@@ -6,7 +6,7 @@ statements can be tested (docs/physics.md, section 11):
 - an impact at its own time removes ½ μ (1 - e²) v_n², no more and no less;
 - an impact rebounds, however slow it is, unless a force closes the contact again within the step;
 - friction adds no energy, in an impact or to an island;
-- friction that holds does no work.
+- static friction does no work.
 
 Impacts are tested in every step, lasting contacts in steps that end with a check. Lasting contacts are tested by
 island, because the energy of a change of impulses cannot be divided uniquely among the contacts of a pile.

@@ -150,7 +150,7 @@ DRAWN_BYTES, TURNED_BYTES = 12, 28  # bytes of a body in a frame: a centre in fl
 _AT_REST = 2  # measured bytes of a body that does not move, compressed
 # measured bytes of an arrow of torque, of an edge, and of an edge whose bodies move
 _TORQUE, _EDGE, _MOVED_EDGE = 25, 5, 12
-_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame; arrays that equal other arrays are not stored
+_CHECKPOINTS = 1.08  # factor by which checkpoints enlarge a frame if arrays that equal others are left out
 
 
 class BudgetRecord(Protocol):
