@@ -83,7 +83,8 @@ class Expect(Section):
     dissipation_error: NonNegative | None = Field(
         None,
         description="energy that contacts have moved against the signs of dissipation, over the energy scale: friction "
-        "that adds energy, static friction that does work, impacts that lose or gain more than the restitution prescribes",
+        "that adds energy, static friction that does work, impacts that lose or gain more than the restitution "
+        "prescribes",
     )
     duration: Annotated[Positive, TIME] | None = Field(
         None,
