@@ -135,7 +135,7 @@ def _coefficients(recording: Recording, setup: Setup) -> tuple[dict[str, Any], l
             shown = ", ".join(f"{name} {value:g}" for name, value in keys.items())
             text = f"Coefficients of {what}, measured in {counted(rows.num_rows, 'impact')}: {shown}."
             if "kinetic_friction" in keys and not _slides(rows).num_rows:
-                text += " Friction is a lower bound: no impact slid to its end."
+                text += " Friction is a lower bound, since sliding ended during every impact."
             said.append(text)
         elif rows is not None:
             said.append(f"Coefficients of {what} are carom's defaults: the recording has no impact that shows them.")
