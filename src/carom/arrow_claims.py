@@ -28,7 +28,7 @@ class Claims:
 
 
 def claims(message: bytes, dictionary: bool = False) -> Claims:
-    """Read the metadata of an Arrow IPC message with a record batch, or with a dictionary, which contains one.
+    """Read the metadata of an Arrow IPC message that contains a record batch, directly or within a dictionary.
 
     Raises ValueError if the metadata are incomplete.
     """

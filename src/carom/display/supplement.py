@@ -174,7 +174,7 @@ class Quantity:
     name: str
     unit: str
     vector: str  # name of a vector of the state
-    axis: int | None  # the component of the vector; None for the length of the run
+    axis: int | None  # the component of the vector; None for the magnitude of the vector
 
     def of(self, vectors: FloatArray) -> FloatArray:
         """Compute the curve from the vectors of all frames, (k, 3)."""

@@ -313,7 +313,7 @@ class About:
     rows: Sequence[tuple[str, str]]  # rows of a table: names and texts
     scene: str  # the scene file; empty if the recording has none
     figures: Sequence[Figure]
-    energy: str  # name of the picture of the energy; empty without one
+    energy: str  # name of the picture of the energy; empty if there is none
     missing: str  # why pictures are missing; empty if none is missing
     narrow: bool  # whether each picture has a version for phones, called `narrow_name`
 

@@ -39,7 +39,7 @@ ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
 
 @dataclass(frozen=True, slots=True)
 class DistanceCurve:
-    """The difference frame by frame."""
+    """The difference between two recordings in each common frame."""
 
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s

@@ -130,7 +130,7 @@ class EveryUpTo(Every):
         return step == self.last or Every.__call__(self, step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return for how many steps and until when (s) no frame is due."""
+        """Return the number of steps and the time (s) up to which no frame is due."""
         steps, until = Every.quiet(self, step, time)
         return min(steps, max(1, self.last - step)), until
 

@@ -160,7 +160,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        Warnings list contacts that may have changed the energy: the copies by `suspect`, and those in ``contact``.
+        Warnings list contacts that may have changed the energy: those copied by `suspect`, and those in ``contact``.
         """
 
         def suspects() -> list[Suspects]:

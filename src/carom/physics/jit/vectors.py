@@ -229,7 +229,7 @@ def _vector_at(builder: Any, address: Any, offset: int) -> Any:
 
 
 class Sum:
-    """Lanes in which the code of a loop sums terms."""
+    """A vector of sums, to which the code of a loop adds its terms."""
 
     def __init__(self, start: Lanes) -> None:
         self._builder = start.builder
