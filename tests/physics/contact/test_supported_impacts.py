@@ -207,3 +207,31 @@ def test_a_floor_at_a_constant_velocity_is_a_floor_at_rest_in_its_own_frame(
     assert moving.state.angular_velocity == pytest.approx(still.state.angular_velocity, abs=10.0 * ROUNDED)
     assert further == pytest.approx(losses, rel=10.0 * ROUNDED)
     assert losses[0] > 0.1 and losses[1] > 0.1
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.06, 0.12])
+def test_a_rolling_ball_throws_and_spins_the_ball_that_it_hits_as_the_closed_form_says(offset: float) -> None:
+    e, mu, masses = 0.8, 0.2, (1.0, 1.3)
+    along = math.sqrt(4 * R * R - offset * offset)
+    normal, velocity, spin = np.array([along, offset, 0.0]) / (2 * R), np.array([V, 0, 0]), np.array([0, V / R, 0])
+    inertia = [0.4 * m * R * R for m in masses]
+
+    closing = float(velocity @ normal)
+    slip = velocity - closing * normal + np.cross(spin, R * normal)
+    inverse_mass = 1 / masses[0] + 1 / masses[1]
+    push = (1 + e) * closing / inverse_mass
+    stops = float(np.linalg.norm(slip)) / (inverse_mass + R * R / inertia[0] + R * R / inertia[1])
+    friction = -min(mu * push, stops) * slip / np.linalg.norm(slip)
+    turned = np.cross(R * normal, friction)  # of both balls: the arms are opposite, and so are the impulses
+    spins = [spin + turned / inertia[0], turned / inertia[1]]
+    velocities = [velocity + (friction - push * normal) / masses[0], (push * normal - friction) / masses[1]]
+    velocities[1][2] = 0.0  # a smooth floor without restitution stops the ball that friction presses into it
+
+    hit = {"position": [0.4, offset, R], "radius": R, "mass": masses[1]}
+    contact = {"restitution": e, "static_friction": mu, "kinetic_friction": mu}
+    floor = {"restitution": 0.0, "static_friction": 0.0, "kinetic_friction": 0.0}
+    time = (0.4 - along) / V + 1e-9  # s; in 1 ns, gravity gives 10⁻⁸ m/s
+    for step in STEPS:
+        state = ended(time, step, contact, plane=[floor], body=[rolling(mass=masses[0]), hit]).state
+        assert state.velocity == pytest.approx(np.array(velocities), abs=2e-8)
+        assert state.angular_velocity == pytest.approx(np.array(spins), abs=ROUNDED * V / R)
