@@ -222,9 +222,6 @@ class KickDriftStepper:
         world, contact, hooks, step = self._world, self._world.contact, self._hooks, self._now
         potentials: Potentials = {}
         step.before, step.time, step.dt = world.clock.before, world.clock.time, dt
-        if world.needs.orientation.modelled:
-            rotate(world.bodies.orientation, world.bodies.angular_velocity, dt, world.team)
-            world.profile.mark("orientation")
         for index, substep in enumerate(self._substeps):
             is_last = index == len(self._substeps) - 1
             step.set_kicks(substep.before * dt, substep.drift * dt, substep.after * dt)
@@ -235,6 +232,9 @@ class KickDriftStepper:
                 world.profile.mark("integrate")
                 contact.hold(step)
                 world.profile.mark("resting")
+            if index == 0 and world.needs.orientation.modelled:  # the spins of the drift
+                rotate(world.bodies.orientation, world.bodies.angular_velocity, dt, world.team)
+                world.profile.mark("orientation")
             self._drift(step)
             if is_last and contact:  # the contacts at the final positions
                 self._refuse_infinities()

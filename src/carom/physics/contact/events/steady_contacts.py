@@ -94,16 +94,27 @@ def _hold_contacts(contacts: SteadyContacts, totals: Totals, damped: DampedStep)
     T.held_restitution = T.held_friction = T.held_stabilisation = 0.0
     if T.last_kick == 0.0:
         _release(contacts)
+        _copy_spins(contacts)
         return True
     if not min(damped.held_kick, damped.last_kick) > 0.0:
         return False
     hold_steady(contacts, damped.held_kick, T.last_kick, T.last_dt, damped.length, damped.booked)
+    _copy_spins(contacts)
     for piece in range(len(contacts.system.piece_results)):
         found = contacts.system.piece_results[piece]
         T.held_restitution += found.restitution_loss
         T.held_friction += found.friction_loss
         T.held_stabilisation += found.stabilisation_gain
     return True
+
+
+@inner
+def _copy_spins(contacts: SteadyContacts) -> None:
+    """Copy the spins of the drift, by which `rotate` turns the bodies."""
+    spins, drifting = contacts.spins, contacts.buffers.drifting_spins
+    for i in range(len(spins)):
+        for k in range(3):
+            drifting[i, k] = spins[i, k]
 
 
 @inner
@@ -296,7 +307,7 @@ def resolve_steady(
 @with_contacts(rotate)
 def _rotate(contacts: SteadyContacts, orientation: FloatArray, spins: FloatArray, dt: float) -> None:
     for i in range(len(orientation)):
-        rotate_one(i, orientation, contacts.buffers.spins, dt)
+        rotate_one(i, orientation, contacts.buffers.drifting_spins, dt)
 
 
 @with_contacts(conclude)

@@ -41,6 +41,7 @@ class SteadyBuffers(NamedTuple):
 
     saved: Words  # the words in `SteadyContacts.words` at the beginning of the step
     spins: FloatArray  # (n, 3) rad/s, spins at the beginning of the step; empty where nothing spins
+    drifting_spins: FloatArray  # (n, 3) rad/s, spins after the first kick
     held: RecordArray[ContactRecord]  # (m,) the contacts that are held, before positions change
     held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,) parents of the ends in trees of islands, see `islands`
@@ -104,6 +105,7 @@ class SteadyContacts(NamedTuple):
         buffers = SteadyBuffers(
             saved=(*map(np.empty_like, numbers[:-1]), _words_of(spins)),
             spins=spins,
+            drifting_spins=np.empty_like(spins),
             held=held,
             held_words=words(held),
             parent=np.empty(ends, dtype=np.int64),

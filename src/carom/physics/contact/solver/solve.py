@@ -83,7 +83,12 @@ from carom.physics.contact.solver.body_state import (
     torque_of,
     turn,
 )
-from carom.physics.contact.solver.friction import friction, friction_of_one
+from carom.physics.contact.solver.friction import (
+    against_first_slip,
+    against_first_slip_of_one,
+    friction,
+    friction_of_one,
+)
 from carom.physics.jit.decorators import inline, inner
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import (
@@ -188,8 +193,10 @@ def _solve_each(
             tx, ty, tz = ox - ux * mt, oy - uy * mt, oz - uz * mt
             material = system.materials[material_index(i, j, count, places)]
             keeps_sliding = system.enough[c] > slides_above
-            opening = mt if drift > 0.0 else 0.0
-            tx, ty, tz = friction(state, material, keeps_sliding, opening, normal, tx, ty, tz)
+            fx, fy, fz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
+            if drift > 0.0:
+                fx, fy, fz = against_first_slip(state, mt, tx, ty, tz, fx, fy, fz)
+            tx, ty, tz = fx, fy, fz
             dx, dy, dz = tx - ox, ty - oy, tz - oz
             slope = slope_on_wall(contact, slope, dx, dy, dz) - (dx * qx + dy * qy + dz * qz)
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
@@ -390,28 +397,45 @@ class _Solution:
         axes = ("x", "y", "z")
         old = [getattr(contact, f"friction_{axis}") + alpha * getattr(contact, f"delta_{axis}") for axis in axes]
         ending = [before - along * contact.tangent_mass for before, along in zip(old, u, strict=True)]
-        friction = self._by_law(contact, ending)
+        friction = self._against_first_slip(contact, ending, self._by_law(contact.normal_impulse, ending))
         d = [after - before for after, before in zip(friction, old, strict=True)]
         for axis, after, change in zip(axes, friction, d, strict=True):
             contact.change(**{f"friction_{axis}": after, f"delta_{axis}": change})
         return d
 
-    def _by_law(self, contact: RecordLanes, ending: InLanes) -> list[Lanes]:
+    def _by_law(self, normal: Lanes, ending: InLanes) -> list[Lanes]:
         """Return the friction that the law allows, contact by contact, given the impulse that would end the slip."""
         builder, block = self._builder, self._block
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
-        kinds = [*records, "boolean", *["float64"] * 5]
+        kinds = [*records, "boolean", *["float64"] * 4]
         enough = read_doubles(builder, block.address("enough", block.places[0]))
         # only the state of held contacts is marked as sliding
         keeps_sliding = self._held & (enough > block.setting("slides_above"))
-        opening = either(builder, block.drifts, lambda: [contact.tangent_mass], lambda: [block.nothing])[0]
         impulses = []
         for k, material in enumerate(block.materials()):
-            numbers = [value.lane(k) for value in (opening, contact.normal_impulse, *ending)]
+            numbers = [value.lane(k) for value in (normal, *ending)]
             given = [block.address("states", block.places[k]), material, keeps_sliding.bit(k), *numbers]
             allowed = block.code.call(friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
             impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
         return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
+
+    def _against_first_slip(self, contact: RecordLanes, ending: InLanes, friction: InLanes) -> InLanes:
+        """Turn the friction of sliding contacts before a drift; see `against_first_slip`."""
+        builder, block = self._builder, self._block
+        most, given = (reduce(lambda a, b: a + b, [t * t for t in impulse]) for impulse in (ending, friction))
+        kinds = [block.kind_of("states").dtype, *["float64"] * 7]
+
+        def turned() -> list[Lanes]:
+            impulses = []
+            for k in range(WIDTH):
+                numbers = [value.lane(k) for value in (contact.tangent_mass, *ending, *friction)]
+                passed = zip(kinds, [block.address("states", block.places[k]), *numbers], strict=True)
+                against = block.code.call(against_first_slip_of_one, ("float64",) * 3, *passed)
+                impulses.append([builder.extract_value(against, axis) for axis in range(3)])
+            return [gathered(builder, [against[axis] for against in impulses]) for axis in range(3)]
+
+        slides = builder.and_(block.drifts, (self._held & (given < most)).any)
+        return either(builder, slides, turned, lambda: [*friction])
 
 
 def _limited_of_one(
