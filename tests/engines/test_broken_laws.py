@@ -12,9 +12,10 @@ from typer.testing import CliRunner
 
 import carom
 from carom.cli.main import app
+from carom.event import Event
 from carom.recording.edit import bundle
 from carom.recording.read.recording import Recording
-from carom.sharing.report import report
+from carom.sharing.report import report, worst_moment
 
 STEPS, DT = 180, 0.01  # s; a report's clip has 120 frames
 JUMP = 170  # step in which a free body gains speed from nothing: energy and momentum change by far more than 0.1 %
@@ -50,7 +51,7 @@ def broken(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(tmp_path_factory.mktemp("laws") / "broken.rrd", True)
 
 
-def test_laws_are_ranked_by_violation_over_tolerance_not_by_time_or_name(broken: Path) -> None:
+def test_each_law_has_its_violation_over_tolerance_and_an_overlap_comes_last(broken: Path) -> None:
     laws = Recording.open(broken).summary()["laws"]
     assert list(laws)[-1] == "overlap" and laws["overlap"]["step"] < JUMP < laws["energy"]["step"]
     excess = [law["excess"] for law in laws.values()]
@@ -123,13 +124,15 @@ def test_a_bad_source_is_named_at_its_frame(odd: str, step: int, said: str, tmp_
     ("steps", "order"),
     [
         ({"energy": 137, "friction": 64}, ["friction", "energy"]),  # the friction added the energy
-        ({"energy": 43, "friction": 64}, ["energy", "friction"]),  # the energy was wrong before
-        ({"energy": 137, "momentum": 20}, ["energy", "momentum"]),  # no contact broke a law of its own
-        ({"overlap": 137, "pull": 64}, ["overlap", "pull"]),  # an overlap is no total
+        ({"energy": 43, "friction": 64}, ["energy", "friction"]),
+        ({"energy": 137, "momentum": 20}, ["momentum", "energy"]),  # an impulse on one body only
+        ({"energy": 64, "pull": 64}, ["energy", "pull"]),  # of one step, the larger violation
+        ({"overlap": 20, "pull": 64}, ["pull", "overlap"]),  # the accuracy of the engine
+        ({"not-finite": 137, "energy": 64}, ["energy", "not-finite"]),  # the end of an explosion
     ],
 )
-def test_a_contact_that_broke_a_law_first_comes_before_the_totals_that_it_changed(
-    steps: dict[str, int], order: list[str], tmp_path: Path
+def test_the_law_that_was_broken_first_comes_first_since_later_ones_may_be_its_consequences(
+    steps: dict[str, int], order: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recording = Recording.open(recorded(tmp_path / "good.rrd", False))
     assert isinstance(recording.closing, dict)
@@ -138,3 +141,6 @@ def test_a_contact_that_broke_a_law_first_comes_before_the_totals_that_it_change
         found = {"step": step, "time": DT * step, "frames": 1, "text": name, "excess": excess, "bodies": "1,2"}
         recording.closing.update({f"laws.{name}.{key}": value for key, value in found.items()})
     assert list(recording.summary()["laws"]) == order
+    events = [Event(step, DT * step, "WARN", name, f"law-{name}") for name, step in steps.items()]
+    monkeypatch.setattr(Recording, "warnings", lambda _: events)
+    assert worst_moment(recording) == (DT * steps[order[0]], order[0]), "a report begins with the same law"

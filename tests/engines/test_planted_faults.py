@@ -9,6 +9,7 @@ import pytest
 from carom.engines.faults import Broken
 from carom.engines.rebounds import Rebounds
 from carom.engines.source import setup_of
+from carom.recording.read.recording import Recording
 from faulty_engines import PLANTED, Toy, naming_law, recorded
 
 QUICK = {"friction along the slip", "normal flipped", "spin in the wrong frame"}
@@ -24,6 +25,10 @@ def test_each_of_twelve_planted_faults_is_named_in_the_first_step_in_which_it_ac
     assert naming_law(toy.planted, faults)
     assert min(found.step for found in faults) >= toy.planted[0][0], "no law accuses the engine before"
     assert law in {found.law for found in faults}
+    step, bodies = next(
+        (law["step"], law["bodies"]) for law in Recording.open(tmp_path / "run.rrd").summary()["laws"].values()
+    )
+    assert step == toy.planted[0][0] and set(bodies) & set(toy.planted[0][1]), "headline, report and scene begin here"
 
 
 @pytest.mark.slow

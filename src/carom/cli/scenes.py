@@ -60,7 +60,7 @@ def scenes(
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added if missing.")],
     source: Annotated[str, typer.Option("--from", metavar="SCENE|FILE", help=_FROM)] = "",
-    at: Annotated[OptionalTime, at_option("the frame before the worst broken law, or the first")] = None,
+    at: Annotated[OptionalTime, at_option("the frame before the first broken law, or the first frame")] = None,
     step: StepOption = None,
     event: EventOption = None,
     force: ForceOption = False,

@@ -130,7 +130,7 @@ def _evidence(recording: Recording, small: Recording, folder: Path) -> dict[str,
 
 
 def _broken(recording: Recording, evidence: dict[str, Path]) -> list[str]:
-    """List the broken laws, the worst one first, and where the bundle shows each."""
+    """List the broken laws, the first one first, and where the bundle shows each."""
     rows = []
     for name, law in _laws(recording).items():
         time = recording.units.text(law["time"], TIME, ".9g")
@@ -170,8 +170,8 @@ def _laws(recording: Recording) -> dict[str, dict[str, Any]]:
 def worst_moment(recording: Recording) -> tuple[float, str]:
     """Return the time (s) of a report's subject, and its description.
 
-    The subject is the worst failure: a state that is not finite or a failed run, or else a violated law, a missed
-    promise, another warning, or an extreme of the run.
+    The subject is the worst failure: a failed run, or else the first violated law, a missed promise, another warning,
+    or an extreme of the run.
     """
     recording.require_frames()
     summary = recording.summary()
@@ -181,7 +181,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return last, in_words(recording.outcome)
     warnings = recording.warnings()
     broken = [event for event in warnings if event.kind.startswith(LAWS)]
-    for law in [] if any(event.kind == NOT_FINITE for event in broken) else _laws(recording).values():
+    for law in _laws(recording).values():
         return law["time"], str(law["text"]).splitlines()[0].rstrip(".")  # the first law in the order of `summary`
     for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
         return event.time, event.text.splitlines()[0].rstrip(".")

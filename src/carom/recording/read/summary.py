@@ -21,10 +21,6 @@ from carom.scene.wording import body_called, counted, hypertext
 if TYPE_CHECKING:
     from carom.recording.read.recorded_data import RecordedData
 
-# laws of another engine, see `carom.engines.faults`: a contact that breaks its law may break those of totals later
-_OF_CONTACTS = ("friction", "restitution", "pull", "spin", "missed-impact")
-_OF_TOTALS = ("energy", "momentum", "angular-momentum")
-
 
 def summary(recording: RecordedData) -> dict[str, Any]:
     """Return nested numbers; docs/recording.md lists the keys.
@@ -112,19 +108,19 @@ def _forces(recording: RecordedData) -> dict[str, Any]:
 
 
 def _laws(recording: RecordedData) -> dict[str, dict[str, Any]]:
-    """Describe the violated laws: causes before consequences, then the largest ratio of violation to tolerance first.
+    """Describe the violated laws in the order of their first steps, since later ones may be consequences.
 
-    A law of totals that was broken after a law of contacts counts as its consequence.
+    Of laws first broken in one step, the one with the largest ratio of violation to tolerance comes first. Overlaps
+    come last: they are the accuracy of an engine unless `Tolerances.overlap` is set.
     """
     keys = ("step", "time", "frames", "text", "excess", "bodies")
     laws = _complete(_below(recording.closing, "laws"), keys)
     for law in laws.values():
         law["bodies"] = [int(end) for end in str(law["bodies"]).split(",") if end]
-    cause = min((laws[name]["step"] for name in _OF_CONTACTS if name in laws), default=np.inf)
 
-    def rank(row: tuple[str, dict[str, Any]]) -> tuple[bool, float, int]:
+    def rank(row: tuple[str, dict[str, Any]]) -> tuple[bool, int, float]:
         name, law = row
-        return name in _OF_TOTALS and law["step"] > cause, -law["excess"], law["step"]
+        return name == "overlap", law["step"], -law["excess"]
 
     return dict(sorted(laws.items(), key=rank))
 
