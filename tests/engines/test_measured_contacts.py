@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 import carom
 from carom.engines.measured_contacts import measured_contacts, measured_impacts
+from carom.engines.scene_of_frame import _measured
 from carom.physics.placement import place
 from carom.recording.read.recording import Recording
 from carom.scene.load import Scene
@@ -102,3 +104,21 @@ def test_a_frame_of_carom_becomes_a_scene_with_its_exact_state(tmp_path: Path) -
     start = place(Scene.load(tmp_path / "case.toml"))
     there = carom.rerun(own, 0.07).bodies(0.07)
     assert np.array_equal(start.position, np.stack([there[axis].to_numpy() for axis in "xyz"], axis=1))
+
+
+@pytest.mark.parametrize(
+    ("impacts", "friction"),
+    [
+        ([("sliding", 0.3, 0.035), ("sliding", 0.137, 0.035), ("sticking", 0.1, 0.001)], 0.3),
+        ([("sliding", 0.108, 0.107), ("sticking", 0.213, 0.004), ("sticking", 0.25, 0.1)], 0.209),
+        ([("sticking", np.nan, np.nan)], None),
+    ],
+)
+def test_a_scene_of_a_frame_has_no_less_friction_than_impacts_that_stuck(
+    impacts: list[tuple[str, float, float]], friction: float | None
+) -> None:
+    mode, measured, errors = zip(*impacts, strict=True)
+    table = {"mode": mode, "friction": measured, "friction_error": errors}
+    for name in ("restitution", "restitution_error"):
+        table[name] = (np.nan,) * len(impacts)
+    assert _measured(pa.table(table)).get("kinetic_friction") == friction
