@@ -16,8 +16,8 @@ from carom.terminal.console import LINE_EVERY, LiveLine, bar
 # Numbers of kernels that `kernels_ready` counts at the end of the bundled scenes; `test_compilation_progress.py`
 # compares the numbers.
 POINTS = 11  # in scenes without contacts, such as figure-eight
-IMPACTS = 117  # in scenes whose contacts are impacts, such as two-spheres
-FORCES = 145  # in scenes in which forces press bodies together, such as heap
+IMPACTS = 129  # in scenes whose contacts are impacts, such as two-spheres
+FORCES = 163  # in scenes in which forces press bodies together, such as heap
 LEAST = 5  # number of kernels after which their rate is meaningful
 
 
