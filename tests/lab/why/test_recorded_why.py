@@ -175,7 +175,8 @@ def test_without_forces_of_contacts_the_causes_are_unknown(tmp_path: Path) -> No
 def test_the_command_says_what_its_numbers_are(tmp_path: Path) -> None:
     recorded(Springs([0.0, 0.5], [2.0, 0.0]), tmp_path / "run.rrd", every=5)
     said = command("why", "run.rrd", "--body", "1", "-o", "why.rrd", cwd=tmp_path).stdout
-    assert "recorded from springs; a frame is up to 5 steps after the previous frame" in said and "are estimates." in said
+    assert "recorded from springs; a frame is up to 5 steps after the previous frame" in said
+    assert "are estimates." in said
     assert "Impulses are the engine's contact forces times the time between frames" in said and "lost (J)" not in said
     told = json.loads(command("why", "run.rrd", "--body", "1", "--json", cwd=tmp_path).stdout)
     assert {cause["energy_lost"] for cause in told["accounts"][0]["causes"]} == {None}
