@@ -66,7 +66,8 @@ class Code:
         return cgutils.for_range_slice(self.builder, begin, end, WORD(1))
 
     def call(self, function: Callable[..., Any], returns: str | tuple[str, ...], *given: tuple[Any, Any]) -> Any:
-        """Call a plain Python function, compiled here; each argument is a type and a value."""
+        """Call a plain Python function or a kernel, compiled here; each argument is a type and a value."""
+        function = getattr(function, "py_func", function)  # a kernel has its plain function
         kinds, values = zip(*given, strict=True)
         signature = _type_of(returns, {})(*(_type_of(kind, {}) for kind in kinds))
         return self.context.compile_internal(self.builder, function, signature, values)

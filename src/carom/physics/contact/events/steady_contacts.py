@@ -94,12 +94,10 @@ def _hold_contacts(contacts: SteadyContacts, totals: Totals, damped: DampedStep)
     T.held_restitution = T.held_friction = T.held_stabilisation = 0.0
     if T.last_kick == 0.0:
         _release(contacts)
-        _copy_spins(contacts)
         return True
     if not min(damped.held_kick, damped.last_kick) > 0.0:
         return False
     hold_steady(contacts, damped.held_kick, T.last_kick, T.last_dt, damped.length, damped.booked)
-    _copy_spins(contacts)
     for piece in range(len(contacts.system.piece_results)):
         found = contacts.system.piece_results[piece]
         T.held_restitution += found.restitution_loss
@@ -225,13 +223,8 @@ def _find(contacts: SteadyContacts, totals: Totals, damped: DampedStep) -> bool:
 @inner
 def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, damped: DampedStep, holds: bool) -> bool:
     """Set up the contacts after the drift of a step, and correct overlaps; see `ContactPipeline.find`."""
-    system, rules, buffers, m, dt = (
-        contacts.system,
-        contacts.rules,
-        contacts.buffers,
-        len(contacts.pairs),
-        damped.length,
-    )
+    system, rules, buffers, m = contacts.system, contacts.rules, contacts.buffers, len(contacts.pairs)
+    dt = damped.length
     scale, skin, rounding = _margins(x, radius, system.acceleration, rules, dt)
     if _is_behind(contacts, x) or not _are_same(contacts, x, radius, scale, skin):
         return False
@@ -262,6 +255,7 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dam
 @with_contacts(resolve)
 def _resolve(contacts: SteadyContacts, totals: Totals, damped: DampedStep) -> bool:
     T, x = totals[0], contacts.trajectories.x
+    _copy_spins(contacts)
     holds = T.last_kick > 0.0
     is_done, T.sweeps = resolve_steady(contacts, x, contacts.trajectories.radius[: len(x)], damped, holds)
     T.last_kick, T.last_dt = damped.last_kick if holds else 0.0, damped.length

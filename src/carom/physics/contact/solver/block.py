@@ -5,7 +5,7 @@ The generated code performs the computations of the phase's loop in lanes, one p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from carom.physics.jit.vectors import (
     Mask,
     RecordLanes,
     at_least,
+    gathered,
     read_flags,
     spread,
 )
@@ -161,6 +162,19 @@ class Block:
                 by += self.turns(body, arm, torque)
             by += [self.nothing] * (WIDTH - len(by))
             body.add(lines, by, mask & (body.inverse_mass > 0.0))
+
+    def one_by_one(
+        self, kernel: Callable[..., Any], kinds: Sequence[Any], given: Iterable[Sequence[Any]]
+    ) -> list[Lanes]:
+        """Call a kernel that returns a vector for each contact, and return the components of the results in lanes.
+
+        ``kinds`` are the types of the arguments, ``given`` their values for each contact.
+        """
+        vectors = [self.code.call(kernel, ("float64",) * 3, *zip(kinds, values, strict=True)) for values in given]
+        return [
+            gathered(self.builder, [self.builder.extract_value(vector, axis) for vector in vectors])
+            for axis in range(3)
+        ]
 
     def turns(self, body: RecordLanes, arm: Lanes, torque: Sequence[Lanes]) -> list[Lanes]:
         """Return the changes of the angular velocities of bodies by λ_t × n; see `apply`."""

@@ -55,19 +55,6 @@ def friction(
     return lasting_friction(material, normal, tx, ty, tz)
 
 
-def friction_of_one(
-    state: ContactStateRecord,
-    material: Coefficients,
-    keeps_sliding: bool,
-    normal: float,
-    tx: float,
-    ty: float,
-    tz: float,
-) -> Vector:
-    """Call `friction`: `Code.call` accepts a plain function of Python, not a kernel."""
-    return friction(state, material, keeps_sliding, normal, tx, ty, tz)
-
-
 @inline
 def _share(kicks: float) -> float:
     """Return the weight of the slip before the kick, given the number of kicks in which friction would end the slip.
@@ -111,10 +98,3 @@ def against_first_slip(
         return x, y, z
     scale = given / np.sqrt(squared)
     return scale * gx, scale * gy, scale * gz
-
-
-def against_first_slip_of_one(
-    state: ContactStateRecord, mass: float, tx: float, ty: float, tz: float, x: float, y: float, z: float
-) -> Vector:
-    """Call `against_first_slip`, as `friction_of_one` calls `friction`."""
-    return against_first_slip(state, mass, tx, ty, tz, x, y, z)

@@ -142,9 +142,9 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
         _move(b, mj * delta, nx, ny, nz)
     sigma = relative_change_of_vt(d, delta) if j < n else 0.0  # a plane absorbs any angular momentum
     later = system.settings[0].next_kick * sigma
-    state.push_x += delta * nx - later * tx
-    state.push_y += delta * ny - later * ty
-    state.push_z += delta * nz - later * tz
+    state.push_x += effective_push(delta, nx, later, tx)
+    state.push_y += effective_push(delta, ny, later, ty)
+    state.push_z += effective_push(delta, nz, later, tz)
     if j < n:
         if mi > 0.0:
             _accelerate(a, -mi * sigma, tx, ty, tz)
@@ -238,6 +238,12 @@ def push_of(
 def relative_change_of_vt(d: float, delta: float) -> float:
     """Return σ = d/(d + δ) - 1, the relative change of v_t."""
     return d / (d + delta) - 1.0
+
+
+@inline
+def effective_push(delta: float, along: float, later: float, across: float) -> float:
+    """Return a component of δ n - h σ v_t in m, given δ, the component of n, h σ in s, and that of v_t."""
+    return delta * along - later * across
 
 
 @inline
@@ -363,10 +369,11 @@ class _Correction:
             body.add_to(moves, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
             self._note(ends, pushed, moves)
         later = block.setting("next_kick") * sigma
+        push = [in_lanes(effective_push)(delta, along, later, across) for along, across in zip(n, t, strict=True)]
         states.change(
-            push_x=states.push_x + of_pushed(delta * n[0] - later * t[0]),
-            push_y=states.push_y + of_pushed(delta * n[1] - later * t[1]),
-            push_z=states.push_z + of_pushed(delta * n[2] - later * t[2]),
+            push_x=states.push_x + of_pushed(push[0]),
+            push_y=states.push_y + of_pushed(push[1]),
+            push_z=states.push_z + of_pushed(push[2]),
             stabilisation_gain=states.stabilisation_gain + of_pushed(in_lanes(gain_of)(reduced, *t, sigma)),
         )
         states.write(AMOUNTS)

@@ -126,7 +126,7 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     settings = system.settings[0]
     spins = settings.spins
     dt, drift, booked, bias_rate = settings.dt, settings.drift, settings.booked, settings.bias_rate
-    count, kicked = body_count(system), booked if drift > 0.0 else 0.0
+    count = body_count(system)
     for piece in range(first, end):
         lo, hi = contacts_of(piece, piece + 1, system)
         largest = 0.0  # m/s, largest velocity that a contact removes
@@ -145,8 +145,10 @@ def prepare(first: int, end: int, system: ConstraintSystem) -> None:
                 )
                 contact.tangent_mass = 1.0 / Kt
                 ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
-                kx, ky, kz = change_by_field(contact, system.acceleration, i, j, kicked)[1]
-                state.slip_x, state.slip_y, state.slip_z = ux - kx, uy - ky, uz - kz
+                if drift > 0.0:
+                    _, (kx, ky, kz) = change_by_field(contact, system.acceleration, i, j, booked)
+                    ux, uy, uz = ux - kx, uy - ky, uz - kz
+                state.slip_x, state.slip_y, state.slip_z = ux, uy, uz
                 wx, wy, wz = relative_spin(body_i, body_j)
                 set_spin_before(contact, wx, wy, wz)
             gap, rest_speed = -state.overlap, state.rest_speed

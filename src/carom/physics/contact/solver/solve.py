@@ -83,12 +83,7 @@ from carom.physics.contact.solver.body_state import (
     torque_of,
     turn,
 )
-from carom.physics.contact.solver.friction import (
-    against_first_slip,
-    against_first_slip_of_one,
-    friction,
-    friction_of_one,
-)
+from carom.physics.contact.solver.friction import against_first_slip, friction
 from carom.physics.jit.decorators import inline, inner
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import (
@@ -98,7 +93,6 @@ from carom.physics.jit.vectors import (
     RecordLanes,
     added_in_order,
     either,
-    gathered,
     greater,
     in_lanes,
     read_doubles,
@@ -358,14 +352,14 @@ class _Solution:
 
     def _limited(self, normal: Lanes, ending: InLanes) -> list[Lanes]:
         """Return the angular impulse that the law allows, contact by contact, given the impulse that would end Ω."""
-        builder, block = self._builder, self._block
+        block = self._block
         kinds = [*(block.kind_of(name).dtype for name in ("contacts", "materials")), *["float64"] * 4]
-        impulses = []
-        for k, material in enumerate(block.materials()):
-            given = [block.address("contacts", block.places[k]), material, *(v.lane(k) for v in (normal, *ending))]
-            allowed = block.code.call(_limited_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
-            impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
-        return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
+        numbers = normal, *ending
+        given = (
+            [block.address("contacts", block.places[k]), material, *(v.lane(k) for v in numbers)]
+            for k, material in enumerate(block.materials())
+        )
+        return block.one_by_one(limited, kinds, given)
 
     def totals(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
         """Return the largest change, the limit of the step, and the slope; all three include the previous contacts."""
@@ -411,13 +405,12 @@ class _Solution:
         enough = read_doubles(builder, block.address("enough", block.places[0]))
         # only the state of held contacts is marked as sliding
         keeps_sliding = self._held & (enough > block.setting("slides_above"))
-        impulses = []
-        for k, material in enumerate(block.materials()):
-            numbers = [value.lane(k) for value in (normal, *ending)]
-            given = [block.address("states", block.places[k]), material, keeps_sliding.bit(k), *numbers]
-            allowed = block.code.call(friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
-            impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
-        return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
+        numbers = normal, *ending
+        given = (
+            [block.address("states", block.places[k]), material, keeps_sliding.bit(k), *(v.lane(k) for v in numbers)]
+            for k, material in enumerate(block.materials())
+        )
+        return block.one_by_one(friction, kinds, given)
 
     def _against_first_slip(self, contact: RecordLanes, ending: InLanes, friction: InLanes) -> InLanes:
         """Turn the friction of sliding contacts before a drift; see `against_first_slip`."""
@@ -425,21 +418,11 @@ class _Solution:
         most, given = (reduce(lambda a, b: a + b, [t * t for t in impulse]) for impulse in (ending, friction))
         kinds = [block.kind_of("states").dtype, *["float64"] * 7]
 
+        numbers = contact.tangent_mass, *ending, *friction
+
         def turned() -> list[Lanes]:
-            impulses = []
-            for k in range(WIDTH):
-                numbers = [value.lane(k) for value in (contact.tangent_mass, *ending, *friction)]
-                passed = zip(kinds, [block.address("states", block.places[k]), *numbers], strict=True)
-                against = block.code.call(against_first_slip_of_one, ("float64",) * 3, *passed)
-                impulses.append([builder.extract_value(against, axis) for axis in range(3)])
-            return [gathered(builder, [against[axis] for against in impulses]) for axis in range(3)]
+            given = ([block.address("states", block.places[k]), *(v.lane(k) for v in numbers)] for k in range(WIDTH))
+            return block.one_by_one(against_first_slip, kinds, given)
 
         slides = builder.and_(block.drifts, (self._held & (given < most)).any)
         return either(builder, slides, turned, lambda: [*friction])
-
-
-def _limited_of_one(
-    contact: ContactRecord, material: Coefficients, normal: float, x: float, y: float, z: float
-) -> tuple[float, float, float]:
-    """Call `limited`, as `friction_of_one` calls `friction`."""
-    return limited(contact, material, normal, x, y, z)
